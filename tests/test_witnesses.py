@@ -18,7 +18,7 @@ from torchid.effects.catalogue import effect
 from torchid.effects.place import SESSION, Interval, Place
 from torchid.effects.scene import reading
 from torchid.extension.correction import extend_outcome
-from torchid.extension.diagnosing import diagnose_outcome, plate_frames
+from torchid.extension.diagnosing import diagnose_outcome
 from torchid.extension.model_free_checks import with_witnesses
 from torchid.extension.statements import panel_of
 from torchid.model_free.panel import Panel
@@ -27,6 +27,8 @@ from torchid.model_free.watched import shares, watch
 from torchid.session import Outcome
 from torchid.session.fitting import identify
 from torchid.session.following import Following
+from torchid.session.laboratory import earlier_sessions
+from torchid.session.plates import session_plates
 from torchid.session.standing import follow_each, standing_weight
 from torchid.session.tables import diagnosis_table
 from torchid.storage.results import OutputFolder
@@ -35,7 +37,7 @@ SEED = seed_of(__name__)
 
 
 def plates(base: Outcome) -> tuple[str, ...]:
-    return tuple(sorted(plate.frame.name for plate in plate_frames(base)[0]))
+    return tuple(sorted(plate.frame.name for plate in session_plates(base.session)[0]))
 
 
 def drawn(name: str, rng: np.random.Generator, base: Outcome) -> tuple[Place, torch.Tensor]:
@@ -52,7 +54,7 @@ def drawn(name: str, rng: np.random.Generator, base: Outcome) -> tuple[Place, to
 
 def planted(base: Outcome, name: str, place: Place, theta: torch.Tensor) -> Outcome:
     """The session as a laboratory with a fault would have recorded it; what was followed stays."""
-    frames, trials = plate_frames(base)[1], dict(base.session.trials)
+    frames, trials = session_plates(base.session)[1], dict(base.session.trials)
     for trial, own in frames.items():
         forces = trials[trial].forces
         assert forces is not None
@@ -93,7 +95,9 @@ def diagnosed(wrong: Outcome) -> Diagnosis:
     config = wrong.config.model_copy(update={"diagnosis": wrong.config.diagnosis.model_copy(update={"include": ASKED})})
     found = replace(wrong, followed=followed, config=config)
     found = replace(found, identified=identify(config.inertia, config.subject, found, lambda stage, fraction: None))
-    verdict = diagnose_outcome(found, panel=panel_of(found))
+    verdict = diagnose_outcome(
+        found, panel=panel_of(found), earlier=earlier_sessions(found.config.laboratory, found.session)
+    )
     assert verdict is not None
     return verdict
 

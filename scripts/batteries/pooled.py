@@ -13,7 +13,7 @@ import json
 import shutil
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ from torchid.extension.diagnosing import diagnose_outcome
 from torchid.extension.statements import panel_of
 from torchid.run import run_experiment
 from torchid.session import Outcome
-from torchid.session.laboratory import NAME, read_laboratory
+from torchid.session.laboratory import NAME, earlier_sessions, read_laboratory
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 
@@ -143,21 +143,17 @@ def _said(config: Any, folder: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def perform(case: Case, some: dict[str, tuple[RealSession, Path]], out: Path) -> dict[str, Any]:
-    """Plant, run up to the first verdict, and keep the evidence."""
+def perform(
+    case: Case, some: dict[str, tuple[RealSession, Path]], out: Path, laboratory: Path | None = None
+) -> dict[str, Any]:
+    """Plant, run up to the first verdict, and keep the evidence; with the file of a laboratory, what it makes of it."""
     session, root = some[case.session]
     folder = out / "scratch" / case.key
     recorded = read_recorded(session, "none", root)
     kept = [frames_kept(trial) for trial in recorded.trials]
     faulty, truth = planted(case.kind, recorded, case.seed)
     shutil.rmtree(folder, ignore_errors=True)
-    row: dict[str, Any] = {
-        "key": case.key,
-        "session": case.session,
-        "kind": case.kind,
-        "seed": case.seed,
-        "truth": truth,
-    }
+    row: dict[str, Any] = {"key": case.key, **asdict(case), "truth": truth}
     try:
         config = load_config(write_session(faulty, session, folder, kept))
         with (
@@ -165,11 +161,15 @@ def perform(case: Case, some: dict[str, tuple[RealSession, Path]], out: Path) ->
             patch("torchid.run.sequence.with_verdict", _first_verdict),
             remembering(out / "fits"),
         ):
-            outcome = run_experiment(config)
+            outcome = run_experiment(config.model_copy(update={"laboratory": laboratory}))
         assert outcome.diagnosis is not None
-        row["alone"] = [(c.effect, c.where, c.confidence) for c in outcome.diagnosis.causes]
-        (out / "evidence").mkdir(parents=True, exist_ok=True)
-        shutil.copy(config.out / NAME, out / "evidence" / f"{case.key}.nc")
+        row["named"] = [(c.effect, c.where, c.confidence) for c in outcome.diagnosis.causes]
+        if outcome.diagnosis.earlier is None:
+            (out / "evidence").mkdir(parents=True, exist_ok=True)
+            shutil.copy(config.out / NAME, out / "evidence" / f"{case.key}.nc")
+        else:
+            row["earlier"] = asdict(outcome.diagnosis.earlier)
+            row["plates"] = {p.frame.name: p.frame.p_WF.tolist() for p in outcome.diagnosis.plates}
     except TorchidError as error:
         row["failed"] = f"{error.code}: {error.message}"
     shutil.rmtree(folder, ignore_errors=True)
@@ -178,7 +178,8 @@ def perform(case: Case, some: dict[str, tuple[RealSession, Path]], out: Path) ->
 
 def _first_verdict(outcome: Outcome, folder: Any, key: str, progress: Any) -> Outcome:
     """The verdict without the model that is extended by it, which says nothing more of the laboratory."""
-    return replace(outcome, diagnosis=diagnose_outcome(outcome, folder.room, panel_of(outcome)))
+    earlier = earlier_sessions(outcome.config.laboratory, outcome.session)
+    return replace(outcome, diagnosis=diagnose_outcome(outcome, folder.room, panel_of(outcome), earlier))
 
 
 def tables(rows: Sequence[dict[str, Any]], evidence: Path) -> Iterator[str]:
@@ -191,7 +192,7 @@ def tables(rows: Sequence[dict[str, Any]], evidence: Path) -> Iterator[str]:
         truth = next(iter(own.values()))["truth"]
         said = "; ".join(_said_of(one, home, truth) for one in faults) or "nothing"
         alone = sum(
-            any(effect == truth.get("effect") and sure > EVEN for effect, _, sure in r["alone"]) for r in own.values()
+            any(effect == truth.get("effect") and sure > EVEN for effect, _, sure in r["named"]) for r in own.values()
         )
         right = not faults if not truth else bool(faults) and all(_is(one, home, truth) for one in faults)
         yield f"{kind:10s} seed {seed}, {len(own)} sessions: {'right' if right else 'wrong'}: {said}; alone {alone}"
@@ -204,7 +205,7 @@ def _is(one: SharedFault, home: Laboratory, truth: dict[str, Any]) -> bool:
     if truth["centre"] is None:
         return True
     centre = torch.tensor(truth["centre"], dtype=torch.float64)
-    near = {plate.name for plate in home.plates if float((plate.position - centre)[:2].norm()) < NEAR_M}
+    near = {p.frame.name for p in home.plates if float((p.frame.p_WF - centre)[:2].norm()) < NEAR_M}
     return set(one.where) == near
 
 

@@ -9,8 +9,8 @@ fault, and what the fault varies by. With delta integrated out,
 
 D has one variance for each effect, of the sizes that sound sessions seem to have (``SIZES``), the likeliest of them.
 Forces of all bodies come late by themselves (``BODIES_LAG_S``), which a clock has to exceed: that lag, with its mean,
-is one more parameter of the laboratory. One more session has theta and a delta of its own: what it may expect is the sum
-of all A* and b*, with that delta integrated out once more.
+is one more parameter of the laboratory. One more session has theta and a delta of its own: what it may expect is the
+sum of all A* and b*, with that delta integrated out once more.
 
 Reference: Laird & Ware, Biometrics 38:963 (1982), on such random effects.
 """

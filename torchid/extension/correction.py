@@ -20,7 +20,7 @@ from torchid.effects.marker_scene import Sight
 from torchid.effects.place import inside_any
 from torchid.effects.scene import PlateFrame, Scene, make_scene, reading
 from torchid.effects.traits import Correction
-from torchid.extension.diagnosing import Observer, forceful, plate_frames, spans
+from torchid.extension.diagnosing import Observer, forceful, spans
 from torchid.extension.pieces import ends, pieces
 from torchid.extension.swapped_markers import relabel, swap_causes
 from torchid.geometry.result import GeometryFit
@@ -31,6 +31,7 @@ from torchid.recording import Forces, Trial
 from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.fitting import OnStage, fit_session, identify
 from torchid.session.following import Following, put_aside, subject_prior
+from torchid.session.plates import session_plates
 from torchid.session.standing import follow_each
 from torchid.storage.provenance import stage_key
 from torchid.storage.results import OutputFolder
@@ -135,7 +136,7 @@ def extend_session(outcome: Outcome, folder: OutputFolder) -> Session:
     assert outcome.diagnosis is not None
     causes, found = outcome.diagnosis.causes, spans(outcome)
     exchanged, others = swap_causes(causes), [c for c in causes if correction(c) is Correction.MARKERS]
-    read, frames = [c for c in causes if correction(c) is Correction.READING], plate_frames(outcome)[1]
+    read, frames = [c for c in causes if correction(c) is Correction.READING], session_plates(outcome.session)[1]
     trials = {}
     for name, trial in outcome.session.trials.items():
         corrected = _cleared(outcome, relabel(trial, exchanged), others, found[name])

@@ -8,7 +8,6 @@ from torch import Tensor
 from torchid.diagnosis.candidates.marker_faults import MOVED
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
-from torchid.diagnosis.evidence.earlier_sessions import among
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.options import MissingWeightOptions
@@ -16,21 +15,15 @@ from torchid.diagnosis.verdict.causes import with_marker_faults, with_missing_we
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.dynamics.rows import WrenchTrial
 from torchid.effects.catalogue import CATALOGUE
-from torchid.effects.place import SESSION
-from torchid.effects.scene import PlateFrame
-from torchid.errors import InputError
 from torchid.extension.other_proofs import marker_faults, told
 from torchid.model_free.panel import Panel
 from torchid.model_free.watched import longest_stretch
 from torchid.motion import Motion
-from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
-from torchid.recording import Forces
 from torchid.session import Outcome
-from torchid.session.laboratory import laboratory_plate, names_in, read_laboratory, renamed
+from torchid.session.plates import plate_forces, session_plates
 from torchid.storage.allocator import keeping_large
 from torchid.storage.snapshot import in_memory
-from torchid.wording import listing
 
 LONGEST_S = 40.0
 """Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
@@ -62,7 +55,7 @@ def diagnose_outcome(
     options = wanted.thresholds
     if outcome.config.model != "whole_body" or outcome.config.subject.mass_kg is None:
         effects = tuple(one for one in effects if not one.on_record)  # a model's file has its masses from elsewhere
-    plates, _ = plate_frames(outcome)
+    plates, _ = session_plates(outcome.session)
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}
     observed, heldout = (
@@ -86,39 +79,16 @@ def diagnose_outcome(
     return with_marker_faults(with_missing_weight(found, missing, options), faults)
 
 
-def earlier_sessions(outcome: Outcome) -> LaboratoryEvidence | None:
-    """Return what earlier sessions of the laboratory say of this session's instruments; None where the config names
-    none.
-
-    Args:
-        outcome: with its session.
-
-    Raises:
-        InputError: the file cannot be read, or none of its plates is this session's.
-    """
-    path = outcome.config.laboratory
-    if path is None:
-        return None
-    told, plates = read_laboratory(path), [laboratory_plate(one) for one in plate_frames(outcome)[0]]
-    called = names_in(told.plates, plates)
-    if not called:
-        places = [f"({x:.2f}, {y:.2f})" for x, y, _ in (one.frame.p_WF.tolist() for one in told.plates)]
-        raise InputError(
-            "laboratory.other_plates", "none of these plates is one of the session's", source=path,
-            found=f"plates at {listing(places, 4)} m",
-            remedy="Give the file of the laboratory in which the session was recorded, or leave `laboratory` out",
-        )  # fmt: skip
-    own = {theirs: mine for mine, theirs in called.items()}
-    known = [f for f in told.evidence.faults if all(name in own for name in f[1]) or f[1] == SESSION.where]
-    return renamed(among(told.evidence, known), own)
-
-
 def _missing_weight(
     outcome: Outcome, observed: Sequence[TrialObservation], parts: Mapping[str, slice], options: MissingWeightOptions
 ) -> list[MissingWeight]:
     found = []
     for w in observed:
-        item, part, forces = outcome.followed[w.rows.name], parts[w.rows.name], _forces(outcome)[w.rows.name]
+        item, part, forces = (
+            outcome.followed[w.rows.name],
+            parts[w.rows.name],
+            plate_forces(outcome.session)[w.rows.name],
+        )
         assert item.contact is not None
         observable = item.tracked.observable[part]
         found.append(find_missing_weight(w, forces.samples(part), item.contact.frames(part), observable, options))
@@ -177,8 +147,8 @@ class Observer:
         Args:
             outcome: up to the inertia.
         """
-        self.outcome, self._forces = outcome, _forces(outcome)
-        _, self._frames = plate_frames(outcome)
+        self.outcome, self._forces = outcome, plate_forces(outcome.session)
+        _, self._frames = session_plates(outcome.session)
 
     def __call__(self, name: str, part: slice, ends: Motion | None = None) -> TrialObservation:
         """One part of a trial whose forces and contacts are known.
@@ -196,18 +166,3 @@ class Observer:
             item.wrench.frames(part), self._forces[name].samples(part), item.contact.measured[part],
             self._frames[name], known, seen, outcome.config.diagnosis.thresholds.observation, ends,
         )  # fmt: skip
-
-
-def plate_frames(outcome: Outcome) -> tuple[tuple[SessionPlate, ...], dict[str, tuple[PlateFrame, ...]]]:
-    """All plates of the session, and the frames of every trial's plates in the order of its file."""
-    return recognise(_forces(outcome))
-
-
-FIRST = ("fit", "static", "heldout")
-"""Roles in the order in which they say where a plate is: held-out trials never do where another one knows."""
-
-
-def _forces(outcome: Outcome) -> dict[str, Forces]:
-    trials = outcome.session.trials
-    order = sorted(trials, key=lambda name: FIRST.index(trials[name].role))
-    return {name: forces for name in order if (forces := trials[name].forces) is not None}

@@ -7,11 +7,12 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchid.effects.scene import PlateFrame, make_scene, reading
-from torchid.extension.diagnosing import MOST, plate_frames, spans
+from torchid.extension.diagnosing import MOST, spans
 from torchid.model_free.panel import Panel, make_panel
 from torchid.model_free.watched import Watched, watch
 from torchid.session import Outcome
 from torchid.session.following import soles
+from torchid.session.plates import session_plates
 
 UNRECORDED = 1.0
 """Resolution. Relative standard deviation of a mass that nobody has recorded: the template's says nothing."""
@@ -25,7 +26,7 @@ def panel_of(outcome: Outcome) -> Panel | None:
     """
     recorded, limits = float(outcome.prior.mean[:, 0].sum()), outcome.config.diagnosis.thresholds
     trials = [name for role in ("static", "fit") for name in outcome.session.part(role, "inertia")][:MOST]
-    frames, parts = plate_frames(outcome)[1], spans(outcome)
+    frames, parts = session_plates(outcome.session)[1], spans(outcome)
     seen = [_watched(outcome, name, frames[name], recorded, parts[name]) for name in trials if name in frames]
     who = outcome.config.subject
     part = UNRECORDED if who.mass_kg is None else (who.mass_sd_kg or 0.0) / recorded

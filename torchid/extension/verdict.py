@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 from torchid.diagnosis.verdict.records import Diagnosis
-from torchid.extension.diagnosing import diagnose_outcome, earlier_sessions
+from torchid.extension.diagnosing import diagnose_outcome
 from torchid.extension.model_free_checks import with_witnesses
 from torchid.extension.publishing import publishable
 from torchid.extension.statements import panel_of
 from torchid.extension.swapped_markers import put_right
 from torchid.session import Outcome
 from torchid.session.fitting import OnStage
+from torchid.session.laboratory import earlier_sessions
 from torchid.storage.results import OutputFolder
 
 
@@ -28,7 +29,7 @@ def with_verdict(outcome: Outcome, folder: OutputFolder, key: str, progress: OnS
             this session.
     """
 
-    earlier = earlier_sessions(outcome)
+    earlier = earlier_sessions(outcome.config.laboratory, outcome.session)
 
     def judged(some: Outcome) -> Diagnosis | None:
         return diagnose_outcome(some, folder.room, panel_of(some), earlier)

@@ -68,7 +68,7 @@ def _would_be(cause: Cause) -> str:
 POSSIBLE = "Possible (at most 50 %, nothing is corrected): rivals share the odds, or a test contradicts it."
 UNAPPLIED = "It is not corrected: the model that is fitted again with it predicts worse."
 UNAPPLIED_SEVERAL = "These are not corrected: the model that is fitted again with them predicts worse."
-UNLIKE = "This session is unlike the laboratory's earlier ones: they have another {}. So it was judged without them."
+UNLIKE = "This session is unlike the earlier ones of its laboratory ({}): it was judged without them."
 ALIKE = "The laboratory's earlier sessions were asked, too."
 EXTENDED = (
     "Every other figure of this page is of the extended model. The likely causes, but for those that are said not to "

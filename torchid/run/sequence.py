@@ -30,6 +30,7 @@ from torchid.session.contact_wrenches import sharing_notes, wrenches_under
 from torchid.session.fitting import OnStage, fit_session, identify
 from torchid.session.following import Following, cutoff, follow, subject_prior, torques
 from torchid.session.judging import judges, quality_of
+from torchid.session.laboratory import earlier_sessions
 from torchid.session.opening import open_session, read_each, setup_of
 from torchid.session.other_contacts import refuse_unknown_plates
 from torchid.session.standing import follow_session
@@ -69,6 +70,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
             known = {trial.name for trial in config.trials}
             others = read_each(setup, [file for file in listed if file.name not in known])
             refuse_unknown_plates(config.contact, chain(session.trials.values(), others))
+            earlier_sessions(config.laboratory, session)  # refused before hours of work
         progress("read", 1.0)
         outcome, failure = compute_outcome(config, session, folder, progress)
         failure = failure or impossible(outcome)

@@ -8,11 +8,11 @@ import torch
 from torchid.contact.contact import Contact
 from torchid.contact.sharing.records import ContactWrenches
 from torchid.effects.scene import make_scene
-from torchid.extension.diagnosing import plate_frames
 from torchid.observation.trial import make_response
 from torchid.recording import Forces
 from torchid.session import Followed, Outcome
 from torchid.session.fitting import given_mass
+from torchid.session.plates import session_plates
 from torchid.torque.bodies import draw_bodies
 from torchid.torque.draws import PlateErrors, TorqueDraws, torque_draws
 from torchid.torque.inverse import Load
@@ -47,7 +47,7 @@ def seen_trials(outcome: Outcome, names: Sequence[str]) -> list[SeenTrial]:
     Args:
         outcome: up to the inertia.
     """
-    _, frames = plate_frames(outcome)
+    _, frames = session_plates(outcome.session)
     found = []
     for name in names:
         item, trial = outcome.followed[name], outcome.right(name)

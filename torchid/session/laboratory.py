@@ -15,12 +15,16 @@ import xarray
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.evidence.earlier_sessions import among
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.effects.catalogue import CATALOGUE
-from torchid.effects.place import Place
+from torchid.effects.place import SESSION, Place
 from torchid.effects.scene import PlateFrame
 from torchid.errors import InputError
 from torchid.observation.plate_registry import SAME_CORNERS, SAME_PRESSURE, SessionPlate
+from torchid.session.plates import session_plates
+from torchid.session.session import Session
+from torchid.wording import listing
 
 NAME = "laboratory.nc"
 """Of the file in a run's folder."""
@@ -176,6 +180,33 @@ def read_laboratory(path: Path) -> SessionEvidence:
         "laboratory.form", "another version of torchid wrote this file, or it is damaged", source=path,
         remedy="Run the session again",
     )  # fmt: skip
+
+
+def earlier_sessions(path: Path | None, session: Session) -> LaboratoryEvidence | None:
+    """Return what earlier sessions of the laboratory say of this session's instruments; None where no file is
+    named.
+
+    Args:
+        path: of a laboratory's file, as a config names it; None: none.
+        session: its trials.
+
+    Raises:
+        InputError: the file cannot be read, or none of its plates is this session's.
+    """
+    if path is None:
+        return None
+    told, plates = read_laboratory(path), [laboratory_plate(one) for one in session_plates(session)[0]]
+    called = names_in(told.plates, plates)
+    if not called:
+        places = [f"({x:.2f}, {y:.2f})" for x, y, _ in (one.frame.p_WF.tolist() for one in told.plates)]
+        raise InputError(
+            "laboratory.other_plates", "none of these plates is one of the session's", source=path,
+            found=f"plates at {listing(places, 4)} m",
+            remedy="Give the file of the laboratory in which the session was recorded, or leave `laboratory` out",
+        )  # fmt: skip
+    own = {theirs: mine for mine, theirs in called.items()}
+    known = [f for f in told.evidence.faults if all(name in own for name in f[1]) or f[1] == SESSION.where]
+    return renamed(among(told.evidence, known), own)
 
 
 def _evidence(file: xarray.Dataset) -> LaboratoryEvidence:

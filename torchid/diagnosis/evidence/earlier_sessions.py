@@ -140,12 +140,14 @@ def unlike(own: LaboratoryEvidence, earlier: LaboratoryEvidence) -> Unlike | Non
     common = tuple(fault for fault in own.faults if fault in earlier.at)
     if not common:
         return None
-    told, others = among(_without_lag(own), common), among(earlier, common)
-    A, a = told.information, told.moment
+    told, others = _without_lag(own), among(earlier, common)
+    # What the others say nothing of is not there, as long as nobody names it: with all of it open, nothing is unlike.
+    kept = torch.cat([told.at[fault] for fault in common])
+    A, a = told.information[kept][:, kept], told.moment[kept]
     factor = torch.linalg.cholesky(A + others.information + torch.eye(len(a)).to(A))
     B = A - A @ torch.cholesky_solve(A, factor)
     c = a - A @ torch.cholesky_solve((a + others.moment)[:, None], factor)[:, 0]
-    nats = {fault: _gain(B[at][:, at], c[at]) for fault, at in told.at.items()}
+    nats = {fault: _gain(B[at][:, at], c[at]) for fault, at in others.at.items()}
     worst = max(nats, key=nats.__getitem__)
     return Unlike(*worst, nats[worst] - math.log(len(nats)))
 
