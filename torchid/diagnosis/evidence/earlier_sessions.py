@@ -1,4 +1,4 @@
-"""What earlier sessions of a laboratory say of one more, as further statements on the faults of its instruments.
+"""This module lets earlier sessions of a laboratory speak of the instruments in one more.
 
 They say it as ``LaboratoryEvidence``, by names of plates that are the session's own. It enters the model as statements,
 an equal share of it in each trial. A session may also be unlike the others: with parameters theta of the laboratory and

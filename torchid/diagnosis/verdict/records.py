@@ -155,7 +155,7 @@ class Refuted:
 
 @dataclass(frozen=True)
 class AloneEvidence:
-    """What a session says by itself for a cause that earlier sessions of the laboratory speak of, too."""
+    """Evidence of a session by itself for a cause that earlier sessions of the laboratory speak of, too."""
 
     effect: str
     """Name of the effect."""
@@ -167,12 +167,12 @@ class AloneEvidence:
 
 @dataclass(frozen=True)
 class EarlierSessions:
-    """How a verdict stands to the earlier sessions of its laboratory."""
+    """The part that earlier sessions of the laboratory have in a verdict."""
 
     unlike: Unlike | None
     """The fault by which this session is unlike them, so that they were not asked; None: they were."""
     alone: tuple[AloneEvidence, ...]
-    """What this session says by itself for each cause that forces tell."""
+    """Evidence of this session by itself for each cause that forces tell."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class Diagnosis:
     laboratory: LaboratoryEvidence | None = None
     """Evidence of the session on its laboratory's instruments, for other sessions of the same."""
     earlier: EarlierSessions | None = None
-    """How the verdict stands to earlier sessions of the laboratory; None where the config names none."""
+    """Part of earlier sessions of the laboratory in the verdict; None where the config names none."""
     aside: tuple[Interval, ...] = ()
     """Intervals that no model is fitted to: something unmeasured bears a good part of the weight there."""
 
