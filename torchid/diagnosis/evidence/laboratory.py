@@ -61,7 +61,7 @@ def lasting(one: Candidate) -> bool:
 
 
 def laboratory_evidence(
-    statistics: Statistics, chosen: Sequence[Candidate], candidates: Sequence[Candidate]
+    statistics: Statistics, others: Sequence[Candidate], asked: Sequence[Candidate]
 ) -> LaboratoryEvidence | None:
     """Return what a session says of lasting faults of instruments, beside the other effects that its model has; None
     where none is asked about.
@@ -70,14 +70,12 @@ def laboratory_evidence(
     sessions together to weigh.
 
     Args:
-        statistics: statistics of all trials.
-        chosen: effects that the model has; those that are such faults themselves are asked about, too.
-        candidates: candidates of the same design.
+        statistics: statistics of all trials, under the noise that a model with all of these effects leaves.
+        others: effects that the model has, lasting faults and lags aside.
+        asked: lasting faults, of the same design.
     """
-    asked = [one for one in candidates if lasting(one)]
     if not asked:
         return None
-    others = [one for one in chosen if not (lasting(one) or one.effect.shifts_time)]
     whole, bare = (
         joint_information(some, fit(some, kept), asked)
         for some, kept in (marginalise_per_trial(raw, others) for raw in (statistics, statistics.unstated))
