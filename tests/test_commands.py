@@ -20,6 +20,7 @@ from torchid.checks import report as check_report
 from torchid.cli import app
 from torchid.cohort import cohort
 from torchid.evaluation import evaluate
+from torchid.evaluation.groups import write as groups
 from torchid.evaluation.study import write
 from torchid.folder import survey as folder_survey
 from torchid.live import run as live
@@ -83,6 +84,7 @@ def laid_out(folder: Path) -> None:
     write_b3d(folder / "S1.b3d", ("LASI", "RASI", "SACR"), [walk], 100.0)
     (folder / "subjects.csv").write_text("subject,folder\nS04,OpenCapSubject\n")
     shutil.copytree(folder / "OpenCapSubject", folder / "recordings" / "S04")
+    (folder / "out" / "laboratory").mkdir(parents=True)
 
 
 @pytest.mark.parametrize("command", commands(), ids=lambda one: f"{one.page}:{one.line}")
@@ -99,7 +101,7 @@ def test_a_command_of_a_page_reaches_its_work(command, tmp_path, monkeypatch):
     for where, name in (
         (run, "run_experiment"), (run, "run_simulation"), (demo, "run_simulation"), (evaluate, "evaluate"),
         (live, "prepare_subject"), (live, "open_as_recorded"), (finished.FinishedRun, "__init__"),
-        (cohort, "run_cohort"), (cohort, "missing"),
+        (cohort, "run_cohort"), (cohort, "missing"), (groups, "compare_groups"),
         (check_report, "check_recordings"),
         (checking, "check_recordings"),
         (folder_survey, "check_recordings"),

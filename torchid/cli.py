@@ -196,21 +196,25 @@ def cohort(
 
 @app.command()
 def evaluate(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -> None:
-    """Assistive device: what the conditions of a config differ by, or those of a study of several subjects."""
+    """Assistive device: what the conditions of a config differ by, or those of a study of several subjects; of a
+    cohort's folder, what its groups differ by."""
     with _exit_codes(debug):
-        from torchid.config import Study, load_evaluation
+        from torchid.config import GroupQuestion, Study, load_evaluation
 
         loaded = load_evaluation(config, overrides or ())
         from torchid.evaluation.evaluate import evaluate as run_evaluation
+        from torchid.evaluation.groups.write import evaluate_groups
         from torchid.evaluation.study.write import evaluate_study
 
         keep_memory()
         with progress_bars() as progress:
-            if isinstance(loaded, Study):
-                evaluate_study(loaded, progress)
+            if isinstance(loaded, GroupQuestion):
+                page = evaluate_groups(loaded).question.cohort / "groups.html"
+            elif isinstance(loaded, Study):
+                page = evaluate_study(loaded, progress).study.out / "subjects.html"
             else:
                 run_evaluation(loaded, progress)
-        page = loaded.out / ("subjects.html" if isinstance(loaded, Study) else "evaluation.html")
+                page = loaded.out / "evaluation.html"
         Terminal().print(f"Done: {page}", soft_wrap=True, highlight=False, markup=False)
 
 

@@ -18,7 +18,7 @@ from pydantic_core import PydanticUndefined
 
 from documentation.marked import Part
 from documentation.pages import anchors
-from torchid.config import Config, Study
+from torchid.config import Config, GroupQuestion, Study
 from torchid.diagnosis.options import field_docs
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "config.md"
@@ -175,7 +175,7 @@ def default_in_words(default: Any) -> str:
 
 def rows() -> Iterator[str]:
     """Headings and tables: sections of a run's config, then those of a study."""
-    for title, root in (("A run", Config), ("A study", Study)):
+    for title, root in (("A run", Config), ("A study", Study), ("Groups of a cohort", GroupQuestion)):
         titles = _titles(root)
         for section in titles:
             yield from (f"## {title}" if section is root else f"### {titles[section]}", "")

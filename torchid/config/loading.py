@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from torchid.config.explain import InvalidConfig, explain
+from torchid.config.groups import GroupQuestion
 from torchid.config.sections import Config
 from torchid.config.study import Study
 from torchid.errors import ConfigError
@@ -52,11 +53,12 @@ def config_of_text(text: str, path: str | Path) -> Config:
     return _config(document, Path(path))
 
 
-def load_evaluation(path: str | Path, overrides: Sequence[str] = ()) -> Config | Study:
-    """The config of one subject's evaluation, or the study in a file that lists ``subjects``.
+def load_evaluation(path: str | Path, overrides: Sequence[str] = ()) -> Config | Study | GroupQuestion:
+    """The config of one subject's evaluation, the study in a file that lists ``subjects``, or what is asked of the
+    groups of a cohort.
 
     Args:
-        path: the file; relative paths inside it start at its folder.
+        path: the file; relative paths inside it start at its folder. Or the folder of a finished cohort.
         overrides: as of ``load_config``.
 
     Raises:
@@ -64,6 +66,11 @@ def load_evaluation(path: str | Path, overrides: Sequence[str] = ()) -> Config |
         InvalidConfig: as of ``load_config``; so are configs of subjects that do not exist.
     """
     path = Path(path)
+    if path.is_dir():
+        asked: dict[str, Document] = {"cohort": str(path.resolve())}
+        for override in overrides:
+            _override(asked, override)
+        return _validated(asked, GroupQuestion, path)
     document = _document(path, overrides)
     if "subjects" not in document:
         return _config(document, path)
@@ -113,7 +120,9 @@ def dump_config(config: Config) -> str:
 
 
 def _missing_files(config: Config, source: str) -> list[ConfigError]:
-    named: dict[str, Path | str | None] = {"model": config.model, "markers": config.markers}
+    named: dict[str, Path | str | None] = {
+        "model": config.model, "markers": config.markers, "laboratory": config.laboratory,
+    }  # fmt: skip
     for k, trial in enumerate(config.trials):
         named |= {f"trials.{k}.{key}": getattr(trial, key) for key in ("file", "forces", "channels")}
     named |= {f"conditions.{name}.device": condition.device for name, condition in config.conditions.items()}

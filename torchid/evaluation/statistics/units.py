@@ -1,4 +1,4 @@
-"""The units of a test: trials, on demand blocks of successive cycles, or subjects with a difference each.
+"""The units of a test: trials, on demand blocks of successive cycles, subjects with a difference each, or people.
 
 Cycles of one trial share what that trial got wrong (a marker that was put on again, where the plates stood, how tired
 the subject was), so that a trial is the unit. With a single long trial per condition only blocks of cycles are left.
@@ -28,7 +28,7 @@ MOST_LAGS = 5
 class Units:
     """What is exchanged in the comparison of two conditions."""
 
-    kind: Literal["trials", "blocks", "subjects"]
+    kind: Literal["trials", "blocks", "subjects", "people"]
     index: tuple[int, ...]
     """Unit of every cycle of both conditions; of every subject."""
     second: Bool[Tensor, " units"]
@@ -85,7 +85,8 @@ def needed_for(units: Units, least_p: float, permutations: int, level: float) ->
         return LeastUnits(wanted, tries)
     few = permutations < tries
     own = f"{units.counts[0]} subjects" if units.paired else f"{units.counts[0]} against {units.counts[1]} {units.kind}"
-    many = f"{wanted} subjects" if units.paired else f"{wanted} {units.kind} of each condition"
+    whose = "group" if units.kind == "people" else "condition"
+    many = f"{wanted} subjects" if units.paired else f"{wanted} {units.kind} of each {whose}"
     least = " with ".join([many] * (smaller < wanted) + [f"permutations: {tries}"] * few)
     said = (
         f"{own}{f' with permutations: {permutations}' if few else ''} cannot show anything at a level of {level:g}: no "
