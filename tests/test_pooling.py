@@ -18,7 +18,7 @@ from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.effects.scene import PlateFrame
 from torchid.errors import InputError
 from torchid.session.laboratory import NAME as EVIDENCE
-from torchid.session.laboratory import LaboratoryPlate, SessionEvidence, laboratory_dataset, read_laboratory
+from torchid.session.laboratory import LaboratoryPlate, SessionEvidence, laboratory_dataset, names_in, read_laboratory
 from torchid.storage.netcdf import write_netcdf
 from torchid.storage.results import OutputFolder
 
@@ -83,6 +83,21 @@ def test_sessions_on_the_same_plates_are_one_laboratory_whatever_their_files_num
     assert home.visits[1].evidence.faults[1] == ("plate_gain", ("plate_2",))
     named = laboratories(each, {"c": {"laboratory": "south"}, "a": {"laboratory": "north"}})
     assert [lab.name for lab in named][:2] == ["north", "south"]
+
+
+def plates_at(**across: float) -> list[LaboratoryPlate]:
+    """Plates without corners, by where they bear across the laboratory [m]."""
+    nowhere, eye = torch.full((4, 3), torch.nan).double(), torch.eye(3).double()
+    return [
+        LaboratoryPlate(PlateFrame(n, torch.tensor([0.0, y, 0.0]).double(), eye), nowhere) for n, y in across.items()
+    ]
+
+
+def test_the_nearest_plate_has_the_name_whichever_comes_first() -> None:
+    """A plate that is new, within half a plate of a known one, took its name."""
+    known = plates_at(plate_1=0.0)
+    assert names_in(known, plates_at(new=0.3, old=0.02)) == {"old": "plate_1"}
+    assert names_in(known, plates_at(far=0.4, nowhere=np.nan)) == {}
 
 
 def test_evidence_comes_back_from_its_file(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchid.diagnosis.evidence.laboratory import Fault, LaboratoryEvidence
-from torchid.session.laboratory import LaboratoryPlate, SessionEvidence, known_plate, names_in, renamed
+from torchid.session.laboratory import LaboratoryPlate, SessionEvidence, names_in, renamed
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _shares(home: Laboratory, session: SessionEvidence, said: Mapping[str, str])
     """Whether a session was recorded in a laboratory: on one of its plates, and under no other name."""
     if said.get("laboratory") and said["laboratory"] != home.name:
         return False
-    return any(known_plate(home.plates, one) is not None for one in session.plates)
+    return bool(names_in(home.plates, session.plates))
 
 
 def _with(home: Laboratory, name: str, when: str, session: SessionEvidence) -> Laboratory:

@@ -4,6 +4,7 @@ Information and moment of all lasting faults together, in the information form o
 that they are about. A hundred such files pool in seconds, and another session adds to them.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -66,41 +67,32 @@ def laboratory_plate(plate: SessionPlate) -> LaboratoryPlate:
     return LaboratoryPlate(frame, unknown if plate.corners is None else plate.corners)
 
 
-def known_plate(plates: Sequence[LaboratoryPlate], one: LaboratoryPlate) -> LaboratoryPlate | None:
-    """Return the nearest of a laboratory's plates that lies where one does; None where that is a new one, or where
-    nothing tells where it is.
-
-    Args:
-        plates: of the laboratory.
-        one: the plate to find.
-    """
-    cornered = bool(one.corners.isfinite().all())
-    alike = [other for other in plates if bool(other.corners.isfinite().all()) is cornered]
-    away = [
-        float(
-            (other.corners - one.corners).norm(dim=1).max()
-            if cornered
-            else (other.frame.p_WF - one.frame.p_WF)[:2].norm()
-        )
-        for other in alike
-    ]
-    near = [k for k, apart in enumerate(away) if apart < (SAME_CORNERS if cornered else SAME_PRESSURE)]
-    return alike[min(near, key=away.__getitem__)] if near else None
-
-
 def names_in(plates: Sequence[LaboratoryPlate], own: Sequence[LaboratoryPlate]) -> dict[str, str]:
-    """Return the laboratory's name of each plate of a session that it knows, each at most once.
+    """Return the laboratory's name of each plate of a session that lies where one of its own does, each at most once,
+    the nearest first; without those that are new, or of which nothing tells where they are.
 
     Args:
         plates: of the laboratory.
         own: of the session.
     """
+    near = ((_apart(one, other), j, k) for j, one in enumerate(own) for k, other in enumerate(plates))
     called: dict[str, str] = {}
-    for one in own:
-        known = known_plate([p for p in plates if p.frame.name not in called.values()], one)
-        if known is not None:
-            called[one.frame.name] = known.frame.name
+    for apart, j, k in sorted(near):
+        mine, theirs = own[j].frame.name, plates[k].frame.name
+        if apart < 1.0 and mine not in called and theirs not in called.values():
+            called[mine] = theirs
     return called
+
+
+def _apart(one: LaboratoryPlate, other: LaboratoryPlate) -> float:
+    """Distance of two plates over that from which on they are not the same; infinite where only one has corners, or
+    nothing tells where one is."""
+    corners = one.corners - other.corners
+    if bool(corners.isfinite().all()):
+        return float(corners.norm(dim=1).max()) / SAME_CORNERS
+    away = float((one.frame.p_WF - other.frame.p_WF)[:2].norm())
+    alike = bool(one.corners.isfinite().all()) is bool(other.corners.isfinite().all())
+    return away / SAME_PRESSURE if alike and math.isfinite(away) else math.inf
 
 
 def renamed(evidence: LaboratoryEvidence, called: Mapping[str, str]) -> LaboratoryEvidence:
