@@ -85,6 +85,14 @@ def test_sessions_on_the_same_plates_are_one_laboratory_whatever_their_files_num
     assert [lab.name for lab in named][:2] == ["north", "south"]
 
 
+def test_no_two_laboratories_have_one_name_whose_file_would_be_the_last_ones() -> None:
+    draw = np.random.default_rng(seed_of("names"))
+    each = {f"s{k}": here(session(draw, np.zeros(PARAMETERS)), away=5.0 * k) for k in range(4)}
+    words = dict(zip(each, ("north", "North", "north_2", ""), strict=True))
+    named = laboratories(each, {name: {"laboratory": word} for name, word in words.items()})
+    assert [lab.name for lab in named] == ["north", "North_3", "north_2", "laboratory_1"]
+
+
 def plates_at(**across: float) -> list[LaboratoryPlate]:
     """Plates without corners, by where they bear across the laboratory [m]."""
     nowhere, eye = torch.full((4, 3), torch.nan).double(), torch.eye(3).double()

@@ -1,9 +1,10 @@
 """Laboratories of a cohort: sessions on the same plates, and each plate under one name."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date
+from itertools import count
 
 import torch
 from torch import Tensor
@@ -29,7 +30,8 @@ class Laboratory:
     """Sessions whose instruments are the same."""
 
     name: str
-    """As the table has it, or ``laboratory_1`` and so on."""
+    """As the table has it, with a number where others without a common plate have it, too; or ``laboratory_1`` and so
+    on."""
     plates: tuple[LaboratoryPlate, ...]
     """Plates of all sessions."""
     visits: tuple[Visit, ...]
@@ -61,10 +63,20 @@ def laboratories(
             every.append(grown)
         else:
             every[known] = grown
-    taken = {one.name for one in every}
-    free = (name for k in range(1, 2 * len(every) + 1) if (name := f"laboratory_{k}") not in taken)
     order = {name: k for k, name in enumerate(found)}
-    return tuple(_in_time(replace(one, name=one.name or next(free)), order) for one in every)
+    names = _distinct([one.name for one in every])
+    return tuple(_in_time(replace(one, name=name), order) for one, name in zip(every, names, strict=True))
+
+
+def _distinct(names: Sequence[str]) -> Iterator[str]:
+    """Names of which no two are alike, even to disks that know no case: a laboratory's file goes by its name."""
+    taken, wanted = set[str](), {name.casefold() for name in names}
+    for name in names:
+        numbered = (f"{name or 'laboratory'}_{k}" for k in count(2 if name else 1))
+        free = (one for one in numbered if one.casefold() not in taken | wanted)
+        own = name if name and name.casefold() not in taken else next(free)
+        taken.add(own.casefold())
+        yield own
 
 
 def _in_time(home: Laboratory, order: Mapping[str, int]) -> Laboratory:
