@@ -94,7 +94,7 @@ def test_all_faults_of_a_table_are_told_at_once(tmp_path):
         assert fault in said
     with pytest.raises(ConfigError, match="no column subject.*unknown column weight"):
         members_of(table(tmp_path, "name,folder,weight".replace("name,", ""), "a,3"))
-    for names in (("E", "e"), ("rows", "a"), ("Cohort.csv", "a")):
+    for names in (("E", "e"), ("rows", "a"), ("Cohort.csv", "a"), ("laboratories", "a")):
         with pytest.raises(ConfigError, match=r"cohort\.names"):
             members_of(table(tmp_path, "subject,folder", *(f"{name},a" for name in names)))
     with pytest.raises(InputError, match=r"cohort\.absent"):
