@@ -210,11 +210,13 @@ def test_data_variable_has_the_environment_first(write, tmp_path, monkeypatch):
 
 def test_missing_recordings_are_listed_before_anything_runs(write):
     """All absent files are named at once, each at its key."""
-    found = problems(write(MINIMAL), "trials.0.file=a.trc", "trials.0.forces=a.mot", "markers=m.yaml")
+    absent = ("trials.0.file=a.trc", "trials.0.forces=a.mot", "markers=m.yaml", "laboratory=l.nc")
+    found = problems(write(MINIMAL), *absent)
     assert {place: problem.code for place, problem in found.items()} == {
         "trials.0.file": "config.missing_file",
         "trials.0.forces": "config.missing_file",
         "markers": "config.missing_file",
+        "laboratory": "config.missing_file",
     }
 
 
