@@ -13,7 +13,7 @@ from small_session import outcome
 from test_witnesses import diagnosed, planted
 
 from torchid.cohort.pooling import pooled
-from torchid.diagnosis.evidence.earlier_sessions import among, integrated_out, unlike
+from torchid.diagnosis.evidence.earlier_sessions import among, beside_bodies, integrated_out, unlike
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.diagnosis.options import NamingOptions
 from torchid.effects.catalogue import effect
@@ -112,7 +112,7 @@ def told_by(path: Path, gain: float, sd: float) -> Path:
     )  # fmt: skip
     A, none = torch.full((1, 1), sd**-2).double(), torch.zeros(1).double()
     evidence = LaboratoryEvidence((("plate_gain", (f"plate_{len(own)}",)),), (1,), A, gain * A[0], 0.0 * A, none)
-    write_netcdf(path, [laboratory_dataset(SessionEvidence(evidence, plates))])
+    write_netcdf(path, [laboratory_dataset(SessionEvidence(evidence, plates, pooled=True))])
     return path
 
 
@@ -128,10 +128,21 @@ def test_plates_are_found_by_their_places(tmp_path: Path) -> None:
 
 def test_a_laboratory_of_other_plates_is_refused(tmp_path: Path) -> None:
     base, path = outcome(), tmp_path / "lab.nc"
-    write_netcdf(path, [laboratory_dataset(here(session(np.random.default_rng(0), np.zeros(PARAMETERS)), away=50.0))])
+    away = here(session(np.random.default_rng(0), np.zeros(PARAMETERS)), away=50.0)
+    write_netcdf(path, [laboratory_dataset(replace(away, pooled=True))])
     given = replace(base, config=base.config.model_copy(update={"laboratory": path}))
     with pytest.raises(InputError, match="none of these plates is one of the session's"):
         earlier_sessions(given.config.laboratory, given.session)
+
+
+def test_one_session_alone_is_refused_whose_bodies_seem_to_be_a_late_clock(tmp_path: Path) -> None:
+    draw, path = np.random.default_rng(seed_of("one session")), tmp_path / "laboratory.nc"
+    late = among(one_more(draw, np.zeros(PARAMETERS)), [FAULTS[0]])
+    A, _ = beside_bodies(late.information, late.moment, late.at[FAULTS[0]])
+    assert float(integrated_out(A, A[0], torch.tensor([1]))[0]) < 0.5 * float(late.information), "most of it is the lag"
+    write_netcdf(path, [laboratory_dataset(here(late))])
+    with pytest.raises(InputError, match="one_session"):
+        earlier_sessions(path, outcome().session)
 
 
 GAIN = 0.0012

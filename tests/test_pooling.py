@@ -172,6 +172,10 @@ def test_nothing_is_pooled_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with monkeypatch.context() as forbidden:
         forbidden.setattr("torchid.cohort.shared_faults.pooled", lambda one: pytest.fail("pooled again"))
         assert told(rows, tmp_path) == first
+    file = tmp_path / first["laboratories"][0]["file"]
+    assert read_laboratory(file).pooled
+    file.unlink()
+    assert told(rows, tmp_path) == first and file.is_file()
     (tmp_path / "c" / EVIDENCE).unlink()
     assert told(rows, tmp_path)["laboratories"][0]["sessions"] == ["a", "b"]
 

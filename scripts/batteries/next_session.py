@@ -50,7 +50,7 @@ def file_for(one: Next, rows: Sequence[Row], out: Path) -> Path:
     home = max(laboratories(found, {}), key=lambda lab: len(lab.visits))
     path = out / "before" / f"{one.key}.nc"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_netcdf(path, [laboratory_dataset(SessionEvidence(pooled(home).expected, home.plates))])
+    write_netcdf(path, [laboratory_dataset(SessionEvidence(pooled(home).expected, home.plates, pooled=True))])
     return path
 
 

@@ -55,7 +55,7 @@ def laboratories_table(rows: Sequence[Row], folder: OutputFolder) -> Said:
         found = {name: one for name, file in files.items() if (one := _read(file)) is not None}
         every = [pooled(one) for one in laboratories(found, done) if len(one.visits) >= FEWEST]
         for one in every:
-            kept = SessionEvidence(one.expected, one.laboratory.plates)
+            kept = SessionEvidence(one.expected, one.laboratory.plates, pooled=True)
             write_netcdf(folder.path(file_of(one.laboratory.name)), [laboratory_dataset(kept)])
         table = [plain(laboratory_table(one)) for one in every]
         said = {"key": key, "laboratories": table, "without": [name for name in done if name not in found]}

@@ -184,8 +184,8 @@ class Config(ConfigSection):
     diagnosis: DiagnosisSection = DiagnosisSection()
     """Search for what the identified model gets wrong (docs/diagnosis.md)."""
     laboratory: UserPath | None = None
-    """What earlier sessions on the same plates say of the instruments: a laboratory's file of a cohort, or a run's
-    ``laboratory.nc`` (docs/cohort.md)."""
+    """What earlier sessions on the same plates say of the instruments: a laboratory's file of a cohort
+    (docs/cohort.md)."""
     conditions: dict[Name, Condition] = Field(default_factory=dict)
     """Under which trials were recorded, one of them the reference; trials with a device tell nothing of the body."""
     evaluate: EvaluateOptions = EvaluateOptions()

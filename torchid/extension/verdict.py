@@ -25,8 +25,8 @@ def with_verdict(outcome: Outcome, folder: OutputFolder, key: str, progress: OnS
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
-        InputError: ``laboratory.unreadable``, ``form`` or ``other_plates``: what ``laboratory`` names says nothing of
-            this session.
+        InputError: ``laboratory.unreadable``, ``form``, ``one_session`` or ``other_plates``: what ``laboratory``
+            names says nothing of this session.
     """
 
     earlier = earlier_sessions(outcome.config.laboratory, outcome.session)

@@ -53,6 +53,9 @@ class SessionEvidence:
     """Information on lasting faults."""
     plates: tuple[LaboratoryPlate, ...]
     """Plates that the faults are about."""
+    pooled: bool = False
+    """Whether it is of one session more than those that tell it: what varies between sessions is integrated out, the
+    lag of their bodies among it."""
 
 
 def laboratory_plate(plate: SessionPlate) -> LaboratoryPlate:
@@ -132,6 +135,7 @@ def laboratory_dataset(kept: SessionEvidence) -> xarray.Dataset:
         coords={"plate": [one.frame.name for one in plates], "axis": list("xyz")},
         attrs={
             "form": FORM,
+            "pooled": int(kept.pooled),
             "effects": [name for name, _ in evidence.faults],
             "places": [BETWEEN.join(where) for _, where in evidence.faults],
             "meaning": "information and moment of all lasting faults of instruments, in units of prior_sd",
@@ -140,10 +144,10 @@ def laboratory_dataset(kept: SessionEvidence) -> xarray.Dataset:
 
 
 def read_laboratory(path: Path) -> SessionEvidence:
-    """Return what a finished run says of its laboratory.
+    """Return what a finished run, or a cohort, says of a laboratory.
 
     Args:
-        path: its ``laboratory.nc``.
+        path: the file of it.
 
     Raises:
         InputError: ``laboratory.unreadable``, or ``laboratory.form`` where another version of torchid wrote it or not
@@ -155,10 +159,10 @@ def read_laboratory(path: Path) -> SessionEvidence:
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
             "laboratory.unreadable",
-            "this is no laboratory.nc",
+            "this is no file of a laboratory",
             source=path,
             found=str(error)[:80],
-            remedy="Run the session again",
+            remedy="Run the session again, or the cohort",
         ) from None
     with suppress(KeyError, ValueError, TypeError):
         if int(found.attrs["form"]) == FORM:
@@ -167,10 +171,10 @@ def read_laboratory(path: Path) -> SessionEvidence:
             if found["prior_sd"].values.tolist() == _scales(evidence) and all(
                 bool(x.isfinite().all()) for x in numbers
             ):
-                return SessionEvidence(evidence, tuple(_plates(found)))
+                return SessionEvidence(evidence, tuple(_plates(found)), bool(found.attrs.get("pooled", 0)))
     raise InputError(
         "laboratory.form", "another version of torchid wrote this file, or it is damaged", source=path,
-        remedy="Run the session again",
+        remedy="Run the session again, or the cohort",
     )  # fmt: skip
 
 
@@ -183,11 +187,17 @@ def earlier_sessions(path: Path | None, session: Session) -> LaboratoryEvidence 
         session: its trials.
 
     Raises:
-        InputError: the file cannot be read, or none of its plates is this session's.
+        InputError: the file cannot be read, is of a single session (``laboratory.one_session``), or none of its plates
+            is this session's.
     """
     if path is None:
         return None
     told, plates = read_laboratory(path), [laboratory_plate(one) for one in session_plates(session)[0]]
+    if not told.pooled:
+        raise InputError(
+            "laboratory.one_session", "what bodies do looks like a fault of instruments in one session", source=path,
+            remedy="Give a cohort's file of the laboratory, of two sessions or more (laboratories/NAME.nc)",
+        )  # fmt: skip
     called = names_in(told.plates, plates)
     if not called:
         places = [f"({x:.2f}, {y:.2f})" for x, y, _ in (one.frame.p_WF.tolist() for one in told.plates)]

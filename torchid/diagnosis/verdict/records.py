@@ -155,7 +155,7 @@ class Refuted:
 
 @dataclass(frozen=True)
 class AloneEvidence:
-    """Evidence of a session by itself for a cause that earlier sessions of the laboratory speak of, too."""
+    """Evidence of a session by itself for a cause of a verdict that earlier sessions take part in."""
 
     effect: str
     """Name of the effect."""
