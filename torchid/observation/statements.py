@@ -31,7 +31,7 @@ class Statements:
         """Return the statements as if they were told so many times.
 
         Args:
-            factor: that number, which may be negative: what is taken back.
+            factor: that number.
         """
         return Statements(self.columns, factor * self.gram, factor * self.moment)
 

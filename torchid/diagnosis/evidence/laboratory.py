@@ -62,20 +62,17 @@ def lasting(one: Candidate) -> bool:
 
 def laboratory_evidence(
     statistics: Statistics, others: Sequence[Candidate], asked: Sequence[Candidate]
-) -> LaboratoryEvidence | None:
-    """Return what a session says of lasting faults of instruments, beside the other effects that its model has; None
-    where none is asked about.
+) -> LaboratoryEvidence:
+    """Return what a session says of lasting faults of instruments, beside the other effects that its model has.
 
     A lag of the body is not beside them: it is a clock's to these rows, and what bodies' lags are like is for all
     sessions together to weigh.
 
     Args:
-        statistics: statistics of all trials, under the noise that a model with all of these effects leaves.
+        statistics: statistics of all trials.
         others: effects that the model has, lasting faults and lags aside.
         asked: lasting faults, of the same design.
     """
-    if not asked:
-        return None
     whole, bare = (
         joint_information(some, fit(some, kept), asked)
         for some, kept in (marginalise_per_trial(raw, others) for raw in (statistics, statistics.unstated))

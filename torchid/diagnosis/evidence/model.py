@@ -69,12 +69,10 @@ class LinearModel:
     @property
     def alone(self) -> Statistics:
         """The statistics without what earlier sessions of the laboratory say."""
-        both = zip(self.statistics.trials, self.rows, strict=True)
-        trials = (
-            raw if own.terms.earlier is None else raw.less(self.prior.standard_statements(own.terms.earlier))
-            for raw, own in both
-        )
-        return replace(self.statistics, trials=tuple(trials))
+        if all(one.terms.earlier is None for one in self.rows):
+            return self.statistics
+        rows = tuple(replace(one, terms=replace(one.terms, earlier=None)) for one in self.rows)
+        return replace(self, rows=rows).statistics
 
     @property
     def statistics_without_forces(self) -> Statistics:

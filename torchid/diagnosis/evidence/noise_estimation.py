@@ -23,21 +23,14 @@ COMMON = 60.0
 tells little of its own."""
 
 
-SETTLED = 8
-"""Resolution. Number of estimates after which none changes by a tenth of its standard deviation any more, though the
-first noise was estimated without the effects."""
-
-
-def estimate_noise(model: LinearModel, chosen: Sequence[Candidate], rounds: int | None = None) -> Noise:
+def estimate_noise(model: LinearModel, chosen: Sequence[Candidate]) -> Noise:
     """Return the noise of what a model with the chosen effects leaves; estimated without them, it would hold them.
 
     Args:
         model: model whose noise is where the estimate begins; better without the columns of what is not chosen.
         chosen: its effects.
-        rounds: number of estimates, each from the noise of the one before; None: ``ROUNDS``, one less where effects
-            are chosen.
     """
-    for _ in range(ROUNDS - bool(chosen) if rounds is None else rounds):
+    for _ in range(ROUNDS - bool(chosen)):
         theta, left, lost = _left_by(list(trial_posteriors(model.statistics, chosen)), model, model.statistics.trials)
         trials = _relative(left, lost, model)
         scaled = [(_scaled(b, s.rsqrt()), s[:0]) for some, s in zip(left, trials[:, None], strict=True) for b in some]

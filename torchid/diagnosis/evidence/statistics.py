@@ -30,19 +30,12 @@ class TrialStatistics:
     @property
     def unstated(self) -> "TrialStatistics":
         """The statistics without what is stated without a body model."""
-        return self if self.stated is None else replace(self.less(self.stated), stated=None)
-
-    def less(self, some: Statements) -> "TrialStatistics":
-        """Return the statistics without some of what is stated.
-
-        Args:
-            some: statements in terms of z, which these statistics have.
-        """
-        assert self.stated is not None, "nothing was stated"
-        at, gram, moment = self.at(some.columns), self.gram.clone(), self.moment.clone()
-        gram[at[:, None], at] -= some.gram
-        moment[at] -= some.moment
-        return TrialStatistics(self.live, gram, moment, self.stated + some.times(-1.0))
+        if self.stated is None:
+            return self
+        at, gram, moment = self.at(self.stated.columns), self.gram.clone(), self.moment.clone()
+        gram[at[:, None], at] -= self.stated.gram
+        moment[at] -= self.stated.moment
+        return TrialStatistics(self.live, gram, moment)
 
     def at(self, columns: Int[Tensor, "*some"]) -> Int[Tensor, "*some"]:
         """Return where columns of the design stand; those that do not live stand last.

@@ -20,7 +20,7 @@ from torchid.diagnosis.evidence.gains import gains
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence, laboratory_evidence, lasting
 from torchid.diagnosis.evidence.model import Identification, LinearModel, make_model, spectra_of
 from torchid.diagnosis.evidence.noise import Noise
-from torchid.diagnosis.evidence.noise_estimation import SETTLED, estimate_noise
+from torchid.diagnosis.evidence.noise_estimation import estimate_noise
 from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import fit
@@ -103,22 +103,19 @@ def search(
         state = _narrow(added)
         del model, added  # gigabytes that the next round does without
     shown = sizes_shown(model, state.chosen, _open(state), options.naming)
-    shared = _of_laboratory(state.model, state.chosen)
+    shared = _of_laboratory(model, state.chosen)
     found = reduced(state.model, state.chosen, state.rounds, options, state.trace)
     return believed(settle(replace(found, detectable=shown, laboratory=shared), SUPPORTED), observed, limit)
 
 
 def _of_laboratory(model: LinearModel, chosen: Sequence[Candidate]) -> LaboratoryEvidence | None:
-    """Return what the session says of lasting faults of instruments, under the noise that all of them leave.
-
-    Under the noise of a model without them, channels and bands in which one of them cancels what the body does weigh
-    most, and it seems smaller than it is: six sessions told 5 mm of a plate that was 15 mm off.
-    """
+    """Return what the session alone says of lasting faults of instruments, beside the others that its model has."""
     asked = [one for one in model.design.candidates if lasting(one)]
+    if not asked:
+        return None
     others = [one for one in chosen if not (lasting(one) or one.effect.shifts_time)]
     small, own = model.restrict([*others, *asked])
-    quiet = small.with_noise(estimate_noise(small, own, SETTLED))
-    return laboratory_evidence(quiet.alone, own[: len(others)], own[len(others) :])
+    return laboratory_evidence(small.alone, own[: len(others)], own[len(others) :])
 
 
 def _begin(

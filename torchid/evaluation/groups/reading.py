@@ -60,14 +60,14 @@ def read_groups(folder: Path) -> WalkingGroups:
     done = table[table["status"] == "done"]
     gaps = [Gap(name, "set aside by the cohort") for name in table[table["status"] != "done"]["subject"]]
     found = []
-    for row in done.to_dict(orient="records"):
-        name, own = str(row["subject"]), folder / safe_name(str(row["subject"]))
-        if not str(row["group"]):
+    for name, group, mass_kg in zip(done["subject"], done["group"], done["mass_kg"], strict=True):
+        own = folder / safe_name(name)
+        if not group:
             gaps.append(Gap(name, "no group in the cohort's table"))
         elif not all((own / one).is_file() for one in TABLES):
             gaps.append(Gap(name, "no strides: nobody walks there, or the model lacks a leg"))
         else:
-            found.append((name, str(row["group"]), *_person(own, float(row["mass_kg"]))))
+            found.append((name, group, *_person(own, float(mass_kg))))
     if not found:
         said = listing([f"{gap.what}: {gap.why}" for gap in gaps], 3)
         raise InputError(
