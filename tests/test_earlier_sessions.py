@@ -16,9 +16,13 @@ from torchid.cohort.pooling import pooled
 from torchid.diagnosis.evidence.earlier_sessions import among, beside_bodies, integrated_out, unlike
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.diagnosis.options import NamingOptions
+from torchid.diagnosis.verdict.records import Diagnosis
+from torchid.diagnosis.verdict.table import verdict_table
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
 from torchid.errors import InputError
+from torchid.report.diagnosis import diagnosis_section
+from torchid.session import Outcome
 from torchid.session.laboratory import (
     LaboratoryPlate,
     SessionEvidence,
@@ -149,6 +153,13 @@ GAIN = 0.0012
 """Of the plate: what a session of some seconds does not tell from its bodies."""
 
 
+def said(outcome: Outcome, found: Diagnosis) -> str:
+    """The report's words on a verdict."""
+    section = diagnosis_section(replace(outcome, diagnosis=found))
+    assert section is not None
+    return section.finding
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("knows", [GAIN, -8.0 * GAIN])
 def test_a_gain_is_named_by_a_laboratory_that_knows_it_and_by_no_other(tmp_path: Path, knows: float) -> None:
@@ -165,6 +176,10 @@ def test_a_gain_is_named_by_a_laboratory_that_knows_it_and_by_no_other(tmp_path:
         assert found.earlier.unlike is None and (own.name, place.where) in named
         (mine,) = (one for one in found.earlier.alone if one.effect == own.name)
         assert mine.evidence_nats < NAMED
+        assert verdict_table(found)["earlier_sessions"]["alone"][0]["effect"] == own.name
+        assert "this one alone would not" in said(wrong, found)
     else:
         assert found.earlier.unlike is not None and found.earlier.unlike.effect == own.name
         assert named == [(one.effect, one.where) for one in alone.likely]
+        assert "unlike the earlier ones" in said(wrong, found)
+        assert "earlier" not in said(wrong, alone) and "earlier_sessions" not in verdict_table(alone)

@@ -45,7 +45,7 @@ from torchid.observation import marker_bands
 from torchid.observation.marker_response import MarkerResponse
 from torchid.recording import Markers
 from torchid.simulate.options import PlantedOptions, SimulateOptions
-from torchid.simulate.planting import planted, session_plates
+from torchid.simulate.planting import numbered_frames, planted
 from torchid.simulate.subject import simulate_subject
 from torchid.simulate.trial import simulate_trial
 
@@ -159,7 +159,7 @@ def simulated(subject, plain, name: str, share: float = 1.0):
     one = dataclasses.replace(one, theta=share * one.theta)
     scene = make_scene("squats", subject.model.tree, subject.geometry, plain.truth.motion, subject.phi)
     forces = plain.trial.forces
-    frames = session_plates(forces.plates)
+    frames = numbered_frames(forces.plates)
     clock_ratio = len(forces.time) // len(scene.time)
     measured = Reading("squats", scene.time, forces.wrench[::clock_ratio], frames)
     return one, scene, measured

@@ -22,7 +22,7 @@ from torchid.effects.recommendations import tell_apart
 from torchid.effects.scene import Reading, make_scene
 from torchid.model.marker_set import load_marker_set
 from torchid.simulate.options import PlantedOptions, SimulateOptions
-from torchid.simulate.planting import planted, session_plates
+from torchid.simulate.planting import numbered_frames, planted
 from torchid.simulate.subject import simulate_subject
 from torchid.simulate.trial import simulate_trial
 
@@ -75,7 +75,7 @@ def test_the_simulator_plants_the_new_effect_and_its_columns_predict_it(added):
     ratio = len(plain.trial.forces.time) // len(plain.trial.markers.time)
     scene = make_scene("squats", subject.model.tree, subject.geometry, plain.truth.motion, subject.phi)
     bore, read = (one.trial.forces.wrench[::ratio] for one in (plain, changed))
-    reading = Reading("squats", scene.time, bore, session_plates(plain.trial.forces.plates))
+    reading = Reading("squats", scene.time, bore, numbered_frames(plain.trial.forces.plates))
     (first, *_) = added.places((View(scene, reading, reading),))
     assert first.where == ("plate_1",)
     guess = torch.einsum("ipt,p->it", columns(added, scene, reading, hidden.place), hidden.theta)

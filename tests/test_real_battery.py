@@ -41,7 +41,7 @@ from torchid.kinematics.chain import chain_poses
 from torchid.model.marker_set import load_marker_set
 from torchid.recording import Trial
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.planting import session_plates
+from torchid.simulate.planting import numbered_frames
 from torchid.simulate.session import SimulatedSession, simulate_session
 
 SMALL = SimulateOptions(
@@ -87,7 +87,7 @@ def reading(trial: Trial, wrench: Tensor | None = None) -> Reading:
     """What torchid's effects read of a trial."""
     assert trial.forces is not None
     own = trial.forces.wrench if wrench is None else wrench
-    return Reading(trial.name, trial.forces.time, own, session_plates(trial.forces.plates))
+    return Reading(trial.name, trial.forces.time, own, numbered_frames(trial.forces.plates))
 
 
 def sight(trial: Trial) -> Sight:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.earlier_sessions import Unlike, unlike
-from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence, lasting
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told
 from torchid.diagnosis.evidence.residuals import residuals
@@ -95,7 +95,8 @@ def _unlike(found: SearchResult, earlier: LaboratoryEvidence | None) -> Unlike |
 def _beside_earlier(found: SearchResult, by: Unlike | None) -> EarlierSessions:
     """Return how a verdict stands to earlier sessions."""
     alone = found.model.alone
-    each = (AloneEvidence(c.effect.name, c.place.where, support(alone, found.chosen, c)) for c in found.named)
+    some = [one for one in found.named if lasting(one)]
+    each = (AloneEvidence(c.effect.name, c.place.where, support(alone, found.chosen, c)) for c in some)
     return EarlierSessions(by, tuple(each))
 
 

@@ -44,7 +44,7 @@ def check_places(hidden: Iterable[Planted], known: Collection[str], labels: Coll
             )  # fmt: skip
 
 
-def session_plates(plates: tuple[Plate, ...]) -> tuple[PlateFrame, ...]:
+def numbered_frames(plates: tuple[Plate, ...]) -> tuple[PlateFrame, ...]:
     """Frames of plates with corners, numbered from one."""
     corners = [plate.corners for plate in plates]
     return tuple(plate_frame(f"plate_{k + 1}", c) for k, c in enumerate(corners) if c is not None)
@@ -54,7 +54,7 @@ def misread(trial: Trial, hidden: tuple[Planted, ...]) -> Trial:
     """The recording as plates with these effects would have made it."""
     if not hidden or trial.forces is None:
         return trial
-    reading = Reading(trial.name, trial.forces.time, trial.forces.wrench, session_plates(trial.forces.plates))
+    reading = Reading(trial.name, trial.forces.time, trial.forces.wrench, numbered_frames(trial.forces.plates))
     for one in hidden:
         reading = one.read(reading)
     return replace(trial, forces=replace(trial.forces, wrench=reading.wrench))

@@ -172,7 +172,7 @@ class EarlierSessions:
     unlike: Unlike | None
     """The fault by which this session is unlike them, so that they were not asked; None: they were."""
     alone: tuple[AloneEvidence, ...]
-    """Evidence of this session by itself for each cause that forces tell."""
+    """Evidence of this session by itself for each lasting fault of an instrument that is named."""
 
 
 @dataclass(frozen=True)
