@@ -1,6 +1,7 @@
 """What earlier sessions of a laboratory say of the next: it tells what that one cannot alone, and misleads nobody."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,19 @@ GAIN = 0.0012
 """Of the plate: what a session of some seconds does not tell from its bodies."""
 
 
+def with_a_gain() -> tuple[Outcome, Place]:
+    """The session whose first plate has it, and the place."""
+    base, own = outcome(), effect("plate_gain")
+    place = Place((session_plates(base.session)[0][0].frame.name,))
+    return planted(base, own.name, place, torch.tensor([GAIN]).double()), place
+
+
+@cache
+def alone_with_a_gain() -> Diagnosis:
+    """What it says without any laboratory."""
+    return diagnosed(with_a_gain()[0])
+
+
 def said(outcome: Outcome, found: Diagnosis) -> str:
     """The report's words on a verdict."""
     section = diagnosis_section(replace(outcome, diagnosis=found))
@@ -163,13 +177,11 @@ def said(outcome: Outcome, found: Diagnosis) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize("knows", [GAIN, -8.0 * GAIN])
 def test_a_gain_is_named_by_a_laboratory_that_knows_it_and_by_no_other(tmp_path: Path, knows: float) -> None:
-    base, own = outcome(), effect("plate_gain")
-    place = Place((session_plates(base.session)[0][0].frame.name,))
+    (wrong, place), own = with_a_gain(), effect("plate_gain")
     (scale,) = own.scale(place)
-    wrong = planted(base, own.name, place, torch.tensor([GAIN]).double())
     path = told_by(tmp_path / "lab.nc", knows / scale, 0.0002 / scale)
     found = diagnosed(replace(wrong, config=wrong.config.model_copy(update={"laboratory": path})))
-    alone = diagnosed(wrong)
+    alone = alone_with_a_gain()
     assert found.earlier is not None and alone.earlier is None
     named = [(one.effect, one.where) for one in found.likely]
     if knows == GAIN:
