@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
-from torchid.diagnosis.evidence.earlier_sessions import Unlike, unlike
+from torchid.diagnosis.evidence.earlier_sessions import unlike
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence, lasting
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told
@@ -20,7 +20,7 @@ from torchid.diagnosis.testing.refutation import RULE, Upheld, uphold
 from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested
 from torchid.diagnosis.verdict.confidence import bent_by_position, discounted
-from torchid.diagnosis.verdict.records import AloneEvidence, Cause, Diagnosis, EarlierSessions, Refuted
+from torchid.diagnosis.verdict.records import Cause, Diagnosis, EarlierSessions, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
 from torchid.model_free.panel import Panel
@@ -70,34 +70,28 @@ def diagnose(
         earlier: what earlier sessions of the laboratory say; None: nothing. A session that is unlike them is judged
             without them.
     """
-    found = search(observed, effects, known, limit, options, panel, told, earlier)
+    found = search(observed, effects, known, limit, options, panel, told)
     release()  # the catalogue's memory
-    by = _unlike(found, earlier)
-    if by is not None:
-        found = search(observed, effects, known, limit, options, panel, told)
-        release()
+    beside = None
+    if earlier is not None:
+        beside = _beside_earlier(found, earlier)
+        if beside.unlike is None:
+            own = found.laboratory
+            found = replace(search(observed, effects, known, limit, options, panel, told, earlier), laboratory=own)
+            release()
     unseen = HeldOut(found, heldout)
     upheld = uphold(unseen, unseen.acting(), options.naming)
     found = settle(found.having(upheld.chosen, *upheld.trace), AT_LAST)
     found = found.having(sorted(found.chosen, key=lambda one: one.ordinary))
-    verdict = _verdict(found, unseen, upheld, observed, plates)
-    return verdict if earlier is None else replace(verdict, earlier=_beside_earlier(found, by))
+    return replace(_verdict(found, unseen, upheld, observed, plates), earlier=beside)
 
 
-def _unlike(found: SearchResult, earlier: LaboratoryEvidence | None) -> Unlike | None:
-    """Return the fault by which a session is unlike earlier ones; None where it is not."""
-    if earlier is None or found.laboratory is None:
-        return None
-    worst = unlike(found.laboratory, earlier)
-    return None if worst is None or worst.nats < found.options.naming.named_nats else worst
-
-
-def _beside_earlier(found: SearchResult, by: Unlike | None) -> EarlierSessions:
-    """Return how a verdict stands to earlier sessions."""
-    alone = found.model.alone
-    some = [one for one in found.named if lasting(one)]
-    each = (AloneEvidence(c.effect.name, c.place.where, support(alone, found.chosen, c)) for c in some)
-    return EarlierSessions(by, tuple(each))
+def _beside_earlier(alone: SearchResult, earlier: LaboratoryEvidence) -> EarlierSessions:
+    """Return what a session says without its laboratory's earlier ones, and whether it is unlike them."""
+    worst = None if alone.laboratory is None else unlike(alone.laboratory, earlier)
+    if worst is not None and worst.nats < alone.options.naming.named_nats:
+        worst = None
+    return EarlierSessions(worst, tuple((one.effect.name, one.place.where) for one in alone.named if lasting(one)))
 
 
 def _verdict(

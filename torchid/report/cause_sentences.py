@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from torchid.diagnosis.evidence.earlier_sessions import Unlike
-from torchid.diagnosis.verdict.records import AloneEvidence, Alternative, Cause, NearestEffect, Refuted
+from torchid.diagnosis.verdict.records import Alternative, Cause, NearestEffect, Refuted
 from torchid.effects.catalogue import effect
 from torchid.effects.place_words import motion_words
 from torchid.effects.recommendations import tell_apart
@@ -11,7 +11,7 @@ from torchid.effects.traits import Site
 from torchid.wording import clean, listing, number, percent
 
 
-def called(one: Cause | Alternative | NearestEffect | Refuted | Unlike | AloneEvidence) -> str:
+def called(one: Cause | Alternative | NearestEffect | Refuted | Unlike) -> str:
     """An effect and where it sits, as part of a sentence."""
     return effect(one.effect).called(one.where)
 

@@ -7,8 +7,10 @@ from torch import Tensor
 
 from torchid.diagnosis.diagnose import select_effects
 from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.evidence.laboratory import lasts
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
+from torchid.effects.catalogue import effect
 from torchid.report.before_after import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
 from torchid.report.cause_sentences import called, name, noun, of_markers, place, surely, told
@@ -83,26 +85,26 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
     if named:
         first, last = ([told(cause) for cause in named if cause.applied is on] for on in (True, False))
         apart = [*last, UNAPPLIED if len(last) == 1 else UNAPPLIED_SEVERAL] if last else []
-        return " ".join([*first, *_gains(outcome, found), *apart, *_refuted(found), *_earlier(outcome, found)])
+        return " ".join([*first, *_gains(outcome, found), *apart, *_refuted(found), *_earlier(found)])
     tried = len(select_effects(options.include, options.exclude))
     if found.causes:
         silent = f"No likely fault ({tried} kinds tested); possible ones are listed below: nothing was corrected."
-        return " ".join([silent, *would_show(found.detectable), *_refuted(found), *_earlier(outcome, found)])
+        return " ".join([silent, *would_show(found.detectable), *_refuted(found), *_earlier(found)])
     silent = f"No fault found ({tried} kinds tested): nothing was corrected."
     near = _nearest(found, options.thresholds.naming.named_nats)
-    return " ".join([silent, *would_show(found.detectable), *_refuted(found), *near, *_earlier(outcome, found)])
+    return " ".join([silent, *would_show(found.detectable), *_refuted(found), *near, *_earlier(found)])
 
 
-def _earlier(outcome: Outcome, found: Diagnosis) -> list[str]:
+def _earlier(found: Diagnosis) -> list[str]:
     """What the laboratory's earlier sessions have to do with it."""
     if found.earlier is None:
         return []
     if found.earlier.unlike is not None:
         return [UNLIKE.format(called(found.earlier.unlike))]
-    least, likely = outcome.config.diagnosis.thresholds.naming.named_nats, {(c.effect, c.where) for c in found.likely}
-    silent = [one for one in found.earlier.alone if one.evidence_nats < least and (one.effect, one.where) in likely]
+    lasting = [cause for cause in found.likely if lasts(effect(cause.effect))]
+    shared = [cause for cause in lasting if (cause.effect, cause.where) not in found.earlier.alone]
     said = "The laboratory's earlier sessions tell {}; this one alone would not."
-    return [said.format(listing([called(one) for one in silent]))] if silent else [ALIKE]
+    return [said.format(listing([called(one) for one in shared]))] if shared else [ALIKE]
 
 
 def _refuted(found: Diagnosis) -> list[str]:

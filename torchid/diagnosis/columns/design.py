@@ -32,19 +32,10 @@ class Terms:
     markers: MarkerStatistics | None
     """Statistics of the columns that markers show; None where no camera is at hand."""
     stated: Statements | None = None
-    """Statements of unloaded plates and model-free checks; None where there are none."""
+    """Statements of unloaded plates, model-free checks and earlier sessions; None where there are none."""
     noise_scores: Float[Tensor, "bands 6 6 live"] | None = None
     """Products that noise of markers in the columns is expected to have with the noise of the total, by band, channel
     of the total and channel of the column; None where no camera shows the noise."""
-    earlier: Statements | None = None
-    """The trial's share of what earlier sessions of the laboratory say; None where they say nothing."""
-
-    @property
-    def every_statement(self) -> Statements | None:
-        """The trial's own statements and those of earlier sessions; None where there are none."""
-        if self.stated is None or self.earlier is None:
-            return self.stated or self.earlier
-        return self.stated + self.earlier
 
     def only(self, some: "ColumnSelection") -> "Terms":
         """Return the terms of a narrower design, in which nuisances stand where they did.
@@ -55,8 +46,7 @@ class Terms:
         at, live = positions(self.live, some.all)
         noise = None if self.noise_scores is None else self.noise_scores[..., at]
         markers = None if self.markers is None else self.markers.only(some.marker_columns)
-        stated, earlier = (None if one is None else one.only(some.all) for one in (self.stated, self.earlier))
-        return Terms(live, markers, stated, noise, earlier)
+        return Terms(live, markers, None if self.stated is None else self.stated.only(some.all), noise)
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,10 @@ def with_earlier(design: Design, earlier: LaboratoryEvidence | None) -> Design:
     if earlier is None:
         return design
     share = statements_of(design, earlier).times(1.0 / len(design.trials))
-    trials = (replace(one, terms=replace(one.terms, earlier=share)) for one in design.trials)
+    trials = []
+    for one in design.trials:
+        before = one.terms.stated
+        trials.append(replace(one, terms=replace(one.terms, stated=share if before is None else before + share)))
     return replace(design, trials=tuple(trials))
 
 

@@ -18,6 +18,7 @@ from torchid.diagnosis.evidence.joint_information import joint_information
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.effects.effect import Effect
 from torchid.effects.instrument_faults import FAULTS
 from torchid.effects.traits import Proof
 
@@ -49,15 +50,24 @@ class LaboratoryEvidence:
         return dict(zip(self.faults, parts, strict=True))
 
 
+def lasts(effect: Effect) -> bool:
+    """Return whether an effect is a fault of an instrument that something in a laboratory's sessions bears out: what
+    nothing can, such as a scale of the cameras, stays what bodies imitate.
+
+    Args:
+        effect: the effect.
+    """
+    return effect.name in FAULTS and has_size(effect) and effect.proof is Proof.FORCES
+
+
 def lasting(one: Candidate) -> bool:
-    """Return whether a candidate is a fault of an instrument that all sessions of a laboratory would share, and that
-    something in them bears out: what nothing can, such as a scale of the cameras, stays what bodies imitate.
+    """Return whether a candidate is a fault of an instrument that all sessions of a laboratory would share.
 
     Args:
         one: the candidate.
     """
-    effect, (_, trials) = one.effect, one.effect.source(one.place)
-    return effect.name in FAULTS and has_size(effect) and effect.proof is Proof.FORCES and trials is None
+    _, trials = one.effect.source(one.place)
+    return lasts(one.effect) and trials is None
 
 
 def laboratory_evidence(

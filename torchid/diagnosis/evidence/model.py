@@ -67,14 +67,6 @@ class LinearModel:
         return self._statistics(self._forces)
 
     @property
-    def alone(self) -> Statistics:
-        """The statistics without what earlier sessions of the laboratory say."""
-        if all(one.terms.earlier is None for one in self.rows):
-            return self.statistics
-        rows = tuple(replace(one, terms=replace(one.terms, earlier=None)) for one in self.rows)
-        return replace(self, rows=rows).statistics
-
-    @property
     def statistics_without_forces(self) -> Statistics:
         """Gram matrices and moments of markers and statements alone."""
         return self._statistics(self._no_forces)
@@ -82,7 +74,7 @@ class LinearModel:
     @property
     def marker_statistics(self) -> Statistics:
         """Gram matrices and moments of markers alone."""
-        rows = tuple(replace(one, terms=replace(one.terms, stated=None, earlier=None)) for one in self.rows)
+        rows = tuple(replace(one, terms=replace(one.terms, stated=None)) for one in self.rows)
         return replace(self, rows=rows).statistics_without_forces
 
     def _statistics(self, forces: Callable[[int], tuple[NormalEquations, float]]) -> Statistics:
@@ -120,16 +112,16 @@ class LinearModel:
             moment[k] += weight @ markers.moment
             square += float(weight @ markers.energy)
             volume += float(markers.count @ self.noise.markers.log())
-        if (every := terms.every_statement) is not None:
-            at, _ = positions(terms.live, every.columns)
-            gram[at[:, None], at] += every.gram
-            moment[at] += every.moment
+        if terms.stated is not None:
+            at, _ = positions(terms.live, terms.stated.columns)
+            gram[at[:, None], at] += terms.stated.gram
+            moment[at] += terms.stated.moment
         unload()
         mean = self.prior.mean[terms.live]
         away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
         found = self.prior.standard(gram, moment, terms.live)
-        if every is not None:
-            found = replace(found, stated=self.prior.standard_statements(every))
+        if terms.stated is not None:
+            found = replace(found, stated=self.prior.standard_statements(terms.stated))
         return found, -0.5 * (away + volume)
 
     def forget(self) -> None:

@@ -109,13 +109,13 @@ def search(
 
 
 def _of_laboratory(model: LinearModel, chosen: Sequence[Candidate]) -> LaboratoryEvidence | None:
-    """Return what the session alone says of lasting faults of instruments, beside the others that its model has."""
+    """Return what is said of lasting faults of instruments, beside the others that the model has."""
     asked = [one for one in model.design.candidates if lasting(one)]
     if not asked:
         return None
     others = [one for one in chosen if not (lasting(one) or one.effect.shifts_time)]
     small, own = model.restrict([*others, *asked])
-    return laboratory_evidence(small.alone, own[: len(others)], own[len(others) :])
+    return laboratory_evidence(small.statistics, own[: len(others)], own[len(others) :])
 
 
 def _begin(

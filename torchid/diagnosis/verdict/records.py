@@ -9,7 +9,7 @@ from torch import Tensor
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.evidence.detectable import Detectable
 from torchid.diagnosis.evidence.earlier_sessions import Unlike
-from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
+from torchid.diagnosis.evidence.laboratory import Fault, LaboratoryEvidence
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.trace import Trace
 from torchid.effects.catalogue import effect
@@ -154,25 +154,13 @@ class Refuted:
 
 
 @dataclass(frozen=True)
-class AloneEvidence:
-    """Evidence of a session by itself for a cause of a verdict that earlier sessions take part in."""
-
-    effect: str
-    """Name of the effect."""
-    where: tuple[str, ...]
-    """Names of its place."""
-    evidence_nats: float
-    """Log evidence of the cause over the others alone, without the earlier sessions [nat]."""
-
-
-@dataclass(frozen=True)
 class EarlierSessions:
     """The part that earlier sessions of the laboratory have in a verdict."""
 
     unlike: Unlike | None
     """The fault by which this session is unlike them, so that they were not asked; None: they were."""
-    alone: tuple[AloneEvidence, ...]
-    """Evidence of this session by itself for each lasting fault of an instrument that is named."""
+    alone: tuple[Fault, ...]
+    """Lasting faults of instruments that this session names without them."""
 
 
 @dataclass(frozen=True)
