@@ -127,3 +127,12 @@ def test_questions_that_cannot_be_asked_are_refused(tmp_path: Path) -> None:
         compare_groups(GroupQuestion(cohort=tmp_path))
     with pytest.raises(ConfigError):
         load_evaluation(folder, ["refrence=control"])
+
+
+def test_names_that_pandas_takes_for_nothing_are_names(tmp_path: Path) -> None:
+    folder = cohort(tmp_path / "some", np.random.default_rng(seed_of("names")))
+    table = pd.read_csv(folder / "cohort.csv").replace({"group": {"control": "None"}, "subject": {"control0": "NA"}})
+    table.to_csv(folder / "cohort.csv", index=False)
+    (folder / "control0").rename(folder / "NA")
+    found = asked(folder)
+    assert found.walking.people[0] == "NA" and found.reference == "None" and not found.walking.left_out

@@ -94,7 +94,8 @@ def _stacked(one: dict[MeasureColumn, np.ndarray], joints: tuple[MeasureColumn, 
 
 def _table(path: Path) -> pd.DataFrame:
     try:
-        return pd.read_csv(path, dtype={"subject": str, "group": str})
+        # Only an empty cell is no text: somebody may be called NA, and a group None.
+        return pd.read_csv(path, dtype={"subject": str, "group": str}, keep_default_na=False, na_values=[""])
     except (OSError, ValueError) as error:
         raise InputError(
             "groups.unreadable", "a table of the cohort cannot be read", source=path, found=str(error)[:80],
