@@ -136,3 +136,27 @@ def test_names_that_pandas_takes_for_nothing_are_names(tmp_path: Path) -> None:
     (folder / "control0").rename(folder / "NA")
     found = asked(folder)
     assert found.walking.people[0] == "NA" and found.reference == "None" and not found.walking.left_out
+
+
+def test_broken_tables_are_told_with_their_place(tmp_path: Path) -> None:
+    folder = cohort(tmp_path / "some", np.random.default_rng(seed_of("broken")))
+    strides = folder / "control0" / "cycles.csv"
+    whole = strides.read_text()
+    lines = whole.splitlines(keepends=True)
+    for broken in ("".join(lines[:-3]), lines[0], whole.replace("moment_Nm", "moment"), ""):
+        strides.write_text(broken)
+        with pytest.raises(InputError, match=r"control0: .*cannot be read.*Remove the folder"):
+            asked(folder)
+    strides.write_text(whole)
+    pd.read_csv(folder / "cohort.csv").drop(columns="group").to_csv(folder / "cohort.csv", index=False)
+    with pytest.raises(InputError, match=r"cohort.csv: .*cannot be read.*Remove it"):
+        asked(folder)
+
+
+def test_a_person_without_a_mass_has_no_moments_and_it_is_said(tmp_path: Path) -> None:
+    folder = cohort(tmp_path / "some", np.random.default_rng(seed_of("mass")))
+    table = pd.read_csv(folder / "cohort.csv")
+    table.loc[0, "mass_kg"] = np.nan
+    table.to_csv(folder / "cohort.csv", index=False)
+    found = asked(folder)
+    assert [gap.what for gap in found.gaps] == ["moments of control0"] and "control0" in found.walking.people

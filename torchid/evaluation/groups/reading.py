@@ -1,6 +1,8 @@
 """Strides of a cohort's people as its tables have them: a row of measures and of mean courses for each person."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,18 +58,23 @@ def read_groups(folder: Path) -> WalkingGroups:
         InputError: ``groups.unreadable`` where a table cannot be read; ``groups.nobody`` where nobody has a group and
             strides.
     """
-    table = _table(folder / f"{NAME}.csv").fillna({"group": ""})
-    done = table[table["status"] == "done"]
-    gaps = [Gap(name, "set aside by the cohort") for name in table[table["status"] != "done"]["subject"]]
+    with _reading(folder / f"{NAME}.csv", "it"):
+        table = _table(folder / f"{NAME}.csv").fillna({"group": ""})
+        aside = table["status"] != "done"
+        gaps = [Gap(name, "set aside by the cohort") for name in table[aside]["subject"]]
+        people = list(table[~aside][["subject", "group", "mass_kg"]].itertuples(index=False, name=None))
     found = []
-    for name, group, mass_kg in zip(done["subject"], done["group"], done["mass_kg"], strict=True):
+    for name, group, mass_kg in people:
         own = folder / safe_name(name)
         if not group:
             gaps.append(Gap(name, "no group in the cohort's table"))
         elif not all((own / one).is_file() for one in TABLES):
             gaps.append(Gap(name, "no strides: nobody walks there, or the model lacks a leg"))
         else:
-            found.append((name, group, *_person(own, float(mass_kg))))
+            if not math.isfinite(mass_kg):
+                gaps.append(Gap(f"moments of {name}", "no mass was identified"))
+            with _reading(own, "the folder"):
+                found.append((name, group, *_person(own, mass_kg)))
     if not found:
         said = listing([f"{gap.what}: {gap.why}" for gap in gaps], 3)
         raise InputError(
@@ -75,10 +82,10 @@ def read_groups(folder: Path) -> WalkingGroups:
             remedy="Fill the column `group` of the table of subjects with two names or more, and call `torchid cohort` "
             "again: nothing is run twice",
         )  # fmt: skip
-    people, groups, scalars, courses = zip(*found, strict=True)
+    names, groups, scalars, courses = zip(*found, strict=True)
     measures, joints = _columns(scalars), _columns(courses)
     return WalkingGroups(
-        people, groups, measures, torch.tensor([[one.get(c, np.nan) for c in measures] for one in scalars]).double(),
+        names, groups, measures, torch.tensor([[one.get(c, np.nan) for c in measures] for one in scalars]).double(),
         joints, torch.stack([_stacked(one, joints) for one in courses]), tuple(gaps),
     )  # fmt: skip
 
@@ -92,15 +99,22 @@ def _stacked(one: dict[MeasureColumn, np.ndarray], joints: tuple[MeasureColumn, 
     return torch.tensor(np.stack([one.get(column, blank) for column in joints], 1)).double()
 
 
-def _table(path: Path) -> pd.DataFrame:
+@contextmanager
+def _reading(place: Path, what: str) -> Iterator[None]:
+    """Turns what is wrong with tables into InputError ``groups.unreadable``."""
     try:
-        # Only an empty cell is no text: somebody may be called NA, and a group None.
-        return pd.read_csv(path, dtype={"subject": str, "group": str}, keep_default_na=False, na_values=[""])
-    except (OSError, ValueError) as error:
+        yield
+    except (OSError, ValueError, KeyError) as error:
+        # A damaged file is nobody's to overwrite, and a run is done again where its report is gone.
         raise InputError(
-            "groups.unreadable", "a table of the cohort cannot be read", source=path, found=str(error)[:80],
-            remedy="Call `torchid cohort` again: it writes what is missing",
+            "groups.unreadable", "a table of the cohort cannot be read", source=place, found=str(error)[:80],
+            remedy=f"Remove {what} and call `torchid cohort` again: it writes what is missing",
         ) from None  # fmt: skip
+
+
+def _table(path: Path) -> pd.DataFrame:
+    # Only an empty cell is no text: somebody may be called NA, and a group None.
+    return pd.read_csv(path, dtype={"subject": str, "group": str}, keep_default_na=False, na_values=[""])
 
 
 def _person(folder: Path, mass_kg: float) -> tuple[dict[MeasureColumn, float], dict[MeasureColumn, np.ndarray]]:
