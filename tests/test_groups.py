@@ -123,8 +123,15 @@ def test_questions_that_cannot_be_asked_are_refused(tmp_path: Path) -> None:
     table.assign(group="").to_csv(folder / "cohort.csv", index=False)
     with pytest.raises(InputError, match="nobody in this cohort"):
         compare_groups(GroupQuestion(cohort=folder))
-    with pytest.raises(InputError, match="cannot be read"):
-        compare_groups(GroupQuestion(cohort=tmp_path))
+    (tmp_path / "none").mkdir()
+    with pytest.raises(InputError, match="no finished cohort"):
+        evaluate_groups(GroupQuestion(cohort=tmp_path / "none"))
+    assert not list((tmp_path / "none").iterdir()), "a folder of recordings stays as it was"
+    table.assign(group=["001" if own == "control" else "002" for own in table["group"]]).to_csv(
+        folder / "cohort.csv", index=False
+    )
+    asked = load_evaluation(folder, ["reference=002"])
+    assert isinstance(asked, GroupQuestion) and compare_groups(asked).reference == "002"
     with pytest.raises(ConfigError):
         load_evaluation(folder, ["refrence=control"])
 

@@ -29,7 +29,7 @@ MOST = {"mass_kg": HEAVIEST_KG, "height_m": TALLEST_M, "age_years": OLDEST_YEARS
 """Between which a fact is somebody's."""
 BEYOND = "beyond the columns"
 """Key of what a line has more than there are columns."""
-RESERVED = ("cohort", "laboratories", "rows", "configs", "logs")
+RESERVED = ("cohort", "groups", "laboratories", "rows", "configs", "logs")
 """Names of files and folders of a cohort."""
 LABELS = ("group", "session", "laboratory")
 """Columns that are taken over into the table of results."""

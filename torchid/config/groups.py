@@ -15,7 +15,7 @@ class GroupQuestion(ConfigSection):
     cohort: Path
     """Folder of the cohort."""
     reference: str | None = None
-    """Group that the others are compared with; absent: that of the table's first person."""
+    """Group that the others are compared with; absent: that of the first person who walks."""
     level: Annotated[float, Gt(0), Lt(0.5)] = 0.05
     """Family-wise rate of false findings."""
     permutations: Annotated[int, Ge(99)] = 9999

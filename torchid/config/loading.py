@@ -70,6 +70,9 @@ def load_evaluation(path: str | Path, overrides: Sequence[str] = ()) -> Config |
         asked: dict[str, Document] = {"cohort": str(path.resolve())}
         for override in overrides:
             _override(asked, override)
+            key, _, text = override.partition("=")
+            if key.strip() == "reference":
+                asked["reference"] = text.strip().strip("'\"")  # a group may be called 001
         return _validated(asked, GroupQuestion, path)
     document = _document(path, overrides)
     if "subjects" not in document:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.earlier_sessions import unlike
-from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence, lasting
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence, lasts
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told
 from torchid.diagnosis.evidence.residuals import residuals
@@ -91,7 +91,7 @@ def _beside_earlier(alone: SearchResult, earlier: LaboratoryEvidence) -> Earlier
     worst = None if alone.laboratory is None else unlike(alone.laboratory, earlier)
     if worst is not None and worst.nats < alone.options.naming.named_nats:
         worst = None
-    return EarlierSessions(worst, tuple((one.effect.name, one.place.where) for one in alone.named if lasting(one)))
+    return EarlierSessions(worst, tuple((one.effect.name, one.place.where) for one in alone.named if lasts(one.effect)))
 
 
 def _verdict(

@@ -160,7 +160,7 @@ class EarlierSessions:
     unlike: Unlike | None
     """The fault by which this session is unlike them, so that they were not asked; None: they were."""
     alone: tuple[Fault, ...]
-    """Lasting faults of instruments that this session names without them."""
+    """Faults of instruments that fit trials of this session name without them."""
 
 
 @dataclass(frozen=True)

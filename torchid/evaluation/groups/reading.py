@@ -48,6 +48,22 @@ class WalkingGroups:
     """Who has no part in it, and why."""
 
 
+def refuse_no_cohort(folder: Path) -> None:
+    """Refuse a folder that ``torchid cohort`` has not written, before anything is written into it.
+
+    Args:
+        folder: in question.
+
+    Raises:
+        InputError: ``groups.no_cohort``.
+    """
+    if not (folder / f"{NAME}.csv").is_file():
+        raise InputError(
+            "groups.no_cohort", "this folder is no finished cohort", source=folder, found=f"no {NAME}.csv",
+            remedy="Name the folder that `torchid cohort -o` has written, or a config of an evaluation",
+        )  # fmt: skip
+
+
 def read_groups(folder: Path) -> WalkingGroups:
     """Return the people of a finished cohort who have a group and strides.
 
@@ -55,9 +71,10 @@ def read_groups(folder: Path) -> WalkingGroups:
         folder: of the cohort.
 
     Raises:
-        InputError: ``groups.unreadable`` where a table cannot be read; ``groups.nobody`` where nobody has a group and
-            strides.
+        InputError: ``groups.no_cohort``; ``groups.unreadable`` where a table cannot be read; ``groups.nobody`` where
+            nobody has a group and strides.
     """
+    refuse_no_cohort(folder)
     with _reading(folder / f"{NAME}.csv", "it"):
         table = _table(folder / f"{NAME}.csv").fillna({"group": ""})
         aside = table["status"] != "done"

@@ -39,7 +39,7 @@ def render_groups(found: GroupComparison) -> str:
     )
     sections = [
         _summary(found),
-        *(_differences(found, one) for one in found.comparisons),
+        *(_differences(found, k) for k in range(len(found.comparisons))),
         _courses(found),
         _rests(found),
     ]
@@ -63,7 +63,7 @@ def _said(found: GroupComparison, one: Comparison) -> str:
     courses = [one.courses[j] for j in one.found_courses(level)]
     of = (f"{len(columns)} of {int(one.tested.adjusted.isfinite().sum())} measures",
           f"{len(courses)} of {int(one.tested.courses.isfinite().sum())} courses")  # fmt: skip
-    counted = f"{names}: {of[0]} and {of[1]} differ significantly (family-wise {percent(level)})."
+    counted = f"{names}: {of[0]} and {of[1]} differ significantly (family-wise {100.0 * level:g} %)."
     largest = [f"{column_words(one.columns[k])} {_value(one, k)}" for k in columns[:SAID]]
     over = list(dict.fromkeys(f"{where_words(c.where)} ({SHORT[c.measure]})" for c in courses))
     more = [f"Largest: {listing(largest, SAID)}."] if largest else []
@@ -80,15 +80,16 @@ def _value(one: Comparison, k: int) -> str:
     )
 
 
-def _differences(found: GroupComparison, one: Comparison) -> Section:
+def _differences(found: GroupComparison, k: int) -> Section:
+    one = found.comparisons[k]
     means = [mean_of(one.rows.values[one.units.second == side], None) for side in (False, True)]
     own, order = set(one.found(found.question.level)), one.ranked()
-    rows = tuple(_row(one, k, means) for k in order)
+    rows = tuple(_row(one, column, means) for column in order)
     head = ("Measure", clean(one.reference), clean(one.condition), "Difference", "Interval", "Adj. p", "Hedges' g")
-    strong = frozenset(line for line, k in enumerate(order) if k in own)
+    strong = frozenset(line for line, column in enumerate(order) if column in own)
     title = f"{clean(one.condition)} minus {clean(one.reference)}"
     said = f"Means over people, with the {percent(COVERAGE)} interval of their difference; significant ones in bold."
-    return Section(f"differences_{clean(one.condition)}", title, said, (Table("", head, rows, strong=strong),))
+    return Section(f"differences_{k}", title, said, (Table("", head, rows, strong=strong),))
 
 
 def _row(one: Comparison, k: int, means: list[Estimate]) -> tuple[str, ...]:

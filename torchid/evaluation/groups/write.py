@@ -2,6 +2,7 @@
 
 from torchid.config.groups import GroupQuestion
 from torchid.evaluation.groups.groups import GroupComparison, compare_groups
+from torchid.evaluation.groups.reading import refuse_no_cohort
 from torchid.evaluation.groups.report import groups_table, render_groups
 from torchid.storage.files import write_text
 from torchid.storage.results import OutputFolder
@@ -20,6 +21,7 @@ def evaluate_groups(question: GroupQuestion) -> GroupComparison:
     Raises:
         TorchidError: as of ``compare_groups``; ``results.*`` where the folder cannot be written.
     """
+    refuse_no_cohort(question.cohort)
     with OutputFolder(question.cohort, beside=True) as folder:
         folder.claim((f"{NAME}.html", f"{NAME}.csv"))
         found = compare_groups(question)
