@@ -79,7 +79,7 @@ def read_groups(folder: Path) -> WalkingGroups:
         table = _table(folder / f"{NAME}.csv").fillna({"group": ""})
         aside = table["status"] != "done"
         gaps = [Gap(name, "set aside by the cohort") for name in table[aside]["subject"]]
-        people = list(table[~aside][["subject", "group", "mass_kg"]].itertuples(index=False, name=None))
+        people = list(zip(*(table[name][~aside] for name in ("subject", "group", "mass_kg")), strict=True))
     found = []
     for name, group, mass_kg in people:
         own = folder / safe_name(name)
