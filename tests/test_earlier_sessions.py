@@ -35,7 +35,7 @@ from torchid.session.plates import session_plates
 from torchid.storage.netcdf import write_netcdf
 
 NAMED = NamingOptions().named_nats
-LABORATORIES = 20
+LABORATORIES = 12
 
 
 def expected(draw: np.random.Generator, theta: np.ndarray) -> LaboratoryEvidence:
