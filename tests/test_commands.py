@@ -85,6 +85,7 @@ def laid_out(folder: Path) -> None:
     (folder / "subjects.csv").write_text("subject,folder\nS04,OpenCapSubject\n")
     shutil.copytree(folder / "OpenCapSubject", folder / "recordings" / "S04")
     (folder / "out" / "laboratory").mkdir(parents=True)
+    (folder / "out" / "laboratory" / "cohort.csv").touch()
 
 
 @pytest.mark.parametrize("command", commands(), ids=lambda one: f"{one.page}:{one.line}")
