@@ -151,7 +151,8 @@ def test_one_session_alone_is_refused_whose_bodies_seem_to_be_a_late_clock(tmp_p
 
 
 GAIN = 0.0012
-"""Of the plate: what a session of some seconds does not tell from its bodies."""
+"""Of the plate: as large as the session's own standard deviation of it, so that alone it says nothing. A laboratory
+that is off by nine of these is worth more than the price of an amount of the session's own."""
 
 
 def with_a_gain() -> tuple[Outcome, Place]:

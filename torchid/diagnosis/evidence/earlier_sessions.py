@@ -143,10 +143,10 @@ def unlike(own: LaboratoryEvidence, earlier: LaboratoryEvidence) -> Unlike | Non
     common = tuple(fault for fault in own.faults if fault in earlier.at)
     if not common:
         return None
-    told, others = _without_lag(own), among(earlier, common)
+    others, (information, moment) = among(earlier, common), _without_lag(own)
     # What the others say nothing of is not there, as long as nobody names it: with all of it open, nothing is unlike.
-    kept = torch.cat([told.at[fault] for fault in common])
-    A, a = told.information[kept][:, kept], told.moment[kept]
+    kept = torch.cat([own.at[fault] for fault in common])
+    A, a = information[kept][:, kept], moment[kept]
     factor = torch.linalg.cholesky(A + others.information + torch.eye(len(a)).to(A))
     B = A - A @ torch.cholesky_solve(A, factor)
     c = a - A @ torch.cholesky_solve((a + others.moment)[:, None], factor)[:, 0]
@@ -155,20 +155,12 @@ def unlike(own: LaboratoryEvidence, earlier: LaboratoryEvidence) -> Unlike | Non
     return Unlike(*worst, nats[worst] - math.log(len(nats)))
 
 
-def _without_lag(own: LaboratoryEvidence) -> LaboratoryEvidence:
-    """The evidence with the lag of bodies integrated out."""
+def _without_lag(own: LaboratoryEvidence) -> tuple[Float[Tensor, "all all"], Float[Tensor, " all"]]:
+    """Information and moment with the lag of bodies integrated out."""
     if (clock := own.at.get(CLOCK)) is None:
-        return own
+        return own.information, own.moment
     faults = torch.arange(1, len(own.moment) + 1)
-    found = [
-        integrated_out(*beside_bodies(A, a, clock), faults)
-        for A, a in (
-            (own.information, own.moment),
-            (own.information - own.stated_information, own.moment - own.stated_moment),
-        )
-    ]
-    (A, a), (B, b) = found
-    return replace(own, information=A, moment=a, stated_information=A - B, stated_moment=a - b)
+    return integrated_out(*beside_bodies(own.information, own.moment, clock), faults)
 
 
 def _gain(information: Float[Tensor, "n n"], moment: Float[Tensor, " n"]) -> float:

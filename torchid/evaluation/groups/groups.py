@@ -9,7 +9,7 @@ from torchid.config.groups import GroupQuestion
 from torchid.errors import ConfigError
 from torchid.evaluation.compared import Gap
 from torchid.evaluation.gaps import untested
-from torchid.evaluation.groups.reading import WalkingGroups, read_groups, said_of
+from torchid.evaluation.groups.reading import WalkingGroups, counts_of, read_groups
 from torchid.evaluation.statistics.comparing import Comparison, Rule, UnitRows, compare_units
 from torchid.evaluation.statistics.effects import Estimate, mean_of
 from torchid.evaluation.statistics.units import Units
@@ -56,12 +56,12 @@ def compare_groups(question: GroupQuestion) -> GroupComparison:
     if reference not in names:
         raise ConfigError(
             "groups.reference", "nobody is in this group", place=place, found=reference,
-            remedy=f"Give one of these: {said_of(walking.groups)}",
+            remedy=f"Give one of these: {counts_of(walking.groups)}",
         )  # fmt: skip
     others = [name for name in names if name != reference]
     if not others:
         raise ConfigError(
-            "groups.one", "everybody is in one group", place=place, found=said_of(walking.groups),
+            "groups.one", "everybody is in one group", place=place, found=counts_of(walking.groups),
             remedy="Give the others of the cohort's table another name in the column `group`",
         )  # fmt: skip
     comparisons = tuple(_compared(walking, reference, name, question, len(others)) for name in others)

@@ -16,14 +16,13 @@ from torchid.cohort.cohort import NAME
 from torchid.cycles.measures import STRIDE
 from torchid.errors import InputError
 from torchid.evaluation.compared import Gap
+from torchid.evaluation.report.words import WHOLE_BODY
 from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.storage.files import safe_name
 from torchid.wording import listing
 
 COURSES = {"angle_deg": "angle_deg", "torque_Nm": "moment_Nm"}
 """Choice. Courses that are compared, with their columns in the table; powers are products of both."""
-GAIT = "cycle"
-"""Where measures of whole strides are."""
 TABLES = ("cycles.csv", "results.csv")
 """Of each person's folder."""
 
@@ -139,7 +138,7 @@ def _person(folder: Path, mass_kg: float) -> tuple[dict[MeasureColumn, float], d
     cycles, results = (_table(folder / name) for name in TABLES)
     strides = results[results["group"] == "stride"]
     quantity, value = np.array(strides["quantity"], str), np.array(strides["value"], float)
-    scalars = {MeasureColumn(GAIT, name): _mean(value[quantity == name]) for name in STRIDE if name in quantity}
+    scalars = {MeasureColumn(WHOLE_BODY, name): _mean(value[quantity == name]) for name in STRIDE if name in quantity}
     courses: dict[MeasureColumn, np.ndarray] = {}
     joints = list(dict.fromkeys(cycles["joint"]))
     shape = (-1, len(set(cycles["percent"])), len(joints))  # as a run writes it: strides, points, joints
@@ -161,7 +160,7 @@ def _mean(values: np.ndarray) -> float:
     return float(known.mean()) if len(known) else math.nan
 
 
-def said_of(groups: tuple[str, ...]) -> str:
+def counts_of(groups: tuple[str, ...]) -> str:
     """Return how many people each group has, as a list.
 
     Args:

@@ -121,7 +121,7 @@ BODIES = {
 """What is held beside the identified body, by ``Evaluation.usual``."""
 ADJUSTED = (
     "p-values are adjusted by the step-down maximum over all measures and all courses (Westfall & Young 1993), and by "
-    "the number of conditions that are compared."
+    "the number of comparisons."
 )
 HUMAN = (
     "Human torque: inverse dynamics of the identified body and of the parts that it carries, minus the plates, minus "
