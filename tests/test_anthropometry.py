@@ -1,5 +1,7 @@
 """Inertial prior and its table: sums, symmetry, physical consistency, covariance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -95,6 +97,44 @@ def test_trunk_keeps_mass_and_first_moment_of_the_table(sex):
     )
     stretch = float(height[2] + geometry.offset[3, 2]) / starts[-1]
     assert float(centre) == pytest.approx(expected / total * stretch, rel=1e-6)
+
+
+@pytest.mark.parametrize("cuts", [(-0.03, 0.02), (0.03, 0.03)])
+def test_wherever_the_trunk_is_cut_it_is_the_same(cuts):
+    """Mass and first moment of the whole trunk stay; what one part gains its neighbours lose."""
+    _, geometry, _ = prior_of(PEOPLE[0])
+    height = torch.tensor([0.0, geometry.offset[1, 2], geometry.offset[1, 2] + geometry.offset[2, 2]]).double()
+
+    def trunk(at: tuple[float, float]) -> tuple[torch.Tensor, torch.Tensor]:
+        parts = segments(geometry, PEOPLE[0][0], "male", at)[:3]
+        mass = torch.tensor([part.fraction for part in parts]).double()
+        return mass, mass * (torch.tensor([part.com[2] for part in parts]).double() + height)
+
+    (usual, first), (mass, moment) = trunk((0.0, 0.0)), trunk(cuts)
+    torch.testing.assert_close(mass.sum(), usual.sum())
+    torch.testing.assert_close(moment.sum(), first.sum())
+    assert (mass[0] > usual[0]) == (cuts[0] > 0.0) and mass[2] < usual[2]
+
+
+@pytest.mark.parametrize("lower", [0.12, 0.16])
+def test_joints_where_nobody_has_them_still_have_a_prior(lower):
+    """A thorax whose joint is at the height of the navel, as exchanged labels make it."""
+    _, geometry, _ = prior_of(PEOPLE[0])
+    offset = geometry.offset.clone()
+    offset[2, 2] -= lower
+    offset[3, 2] += lower
+    person = PEOPLE[0]
+    prior = inertial_prior(replace(geometry, offset=offset), person[0], person[1], None, person[2])
+    assert bool(torch.isfinite(prior.covariance).all()) and bool((prior.mean[:, Inertial.M] > 0.0).all())
+
+
+def test_tables_that_cut_elsewhere_are_within_the_scatter():
+    """Pelvis and abdomen scatter against each other by more than each table says of its own part."""
+    prior, _, _ = prior_of(PEOPLE[0])
+    masses = prior.covariance[Inertial.M :: 10, Inertial.M :: 10][:3, :3]
+    sd = masses.diagonal().sqrt()
+    assert float(masses[0, 1] / sd[0] / sd[1]) < -0.3 and float(masses[1, 2] / sd[1] / sd[2]) < -0.3
+    assert float(sd[1] / prior.mean[1, Inertial.M]) > 1.5 * module.MASS_SD["abdomen"]
 
 
 @pytest.mark.parametrize("person", PEOPLE[:2])

@@ -66,7 +66,8 @@ def test_evidence_finds_noise_and_scatter_and_intervals_cover(seed: int) -> None
         truth = draw(prior(stated.mean, 0.2 / tight**0.5))
         F = Y @ truth.flatten() + noise * torch.randn(len(Y), dtype=torch.float64)
         equations = NormalEquations.from_rows(Y, F)
-        fit = fit_inertia(equations, stated, names(4), InertiaOptions(lmi=False, base_parameters=False))
+        options = InertiaOptions(prior_weight="evidence", lmi=False, base_parameters=False)
+        fit = fit_inertia(equations, stated, names(4), options)
         omega_1.append(fit.omega_1)
         omega_2.append(fit.omega_2)
         inside.append(float(((fit.phi - truth).abs() < 1.96 * fit.sd.phi).double().mean()))
@@ -125,7 +126,9 @@ def test_a_weight_at_an_end_of_its_range_is_said(seed: int, scale: float, end: f
     """Data of the prior's own mean ask for any weight, data far off for none: the range decides, and is named."""
     given, Y = prior(bodies(3), 0.1), chain_rows(3, 30, seed)
     equations = NormalEquations.from_rows(Y, scale * Y @ given.mean.flatten())
-    options = InertiaOptions(noise="known", prior_weight_range=(1e-2, 1e2), refuse=False, base_parameters=False)
+    options = InertiaOptions(
+        prior_weight="evidence", noise="known", prior_weight_range=(1e-2, 1e2), refuse=False, base_parameters=False
+    )
     fit = fit_inertia(equations, given, names(3), options)
     np.testing.assert_allclose(fit.omega_2, end, rtol=1e-3)
     (said,) = [note.message for note in fit.notes if note.code == "inertia.prior_weight_at_bound"]

@@ -4,7 +4,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,8 @@ class Job:
 def written(job: Job, folder: Path) -> Config:
     """The session's files, and their config."""
     if job.level == OWN:
-        made = simulate_session(OPTIONS, job.seed, folder)
+        skin = 1e3 * SKIN_M if job.kind == "skin" else 0.0
+        made = simulate_session(replace(OPTIONS, skin_motion_mm=skin), job.seed, folder)
         assert made.config is not None
         return load_config(made.config)
     rng = np.random.default_rng((job.seed, 7))

@@ -76,9 +76,8 @@ def session(kind: str, seed: int, out: Path, options: SimulateOptions) -> list[T
     """Simulate one session, identify the body, and look at each sheet."""
     recorded, outcome = identified(kind, seed, out, options)
     assert outcome.identified is not None
-    fit = outcome.identified.fit
     rows = [outcome.followed[name].wrench for name in recorded.truth]
-    trials, body = [row for row in rows if row is not None], BodyBelief(fit.phi, fit.covariance)
+    trials, body = [row for row in rows if row is not None], BodyBelief(outcome.phi, outcome.identified.of_rows)
     rng = np.random.default_rng((seed, 36))
     told = []
     for fault in ("", *FAULTS[kind]):

@@ -71,11 +71,10 @@ def subject(kind: str, seed: int, out: Path, options: SimulateOptions, blind: bo
     """One subject: simulate, run, identify the device, compare."""
     recorded, outcome = identified(kind, seed, out, options)
     assert outcome.identified is not None
-    fit = outcome.identified.fit
     sheet = placed(recorded.case.sheet, outcome.fit.places)
     trials = [outcome.followed[name].wrench for name in recorded.truth]
     found = identify_device(
-        sheet, BodyBelief(fit.phi, fit.covariance), [t for t in trials if t is not None],
+        sheet, BodyBelief(outcome.phi, outcome.identified.of_rows), [t for t in trials if t is not None],
         {} if blind else recorded.channels, DeviceOptions(plate_gain_sd=0.0),  # as the simulated plates are
     )  # fmt: skip
     figures, covered, z = parameter_errors(recorded, found)

@@ -4,7 +4,7 @@ Columns of the regressor that depend on earlier ones are regrouped: with unit co
 Y Pi = Q [R1 R2], the base parameters are phi_1 + R1^-1 R2 phi_2 (Gautier, J. Robotic Systems 8(4), 1991).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -58,6 +58,10 @@ class BaseParameters:
         rows, weight = self.matrix.cpu().numpy(), self.weight.cpu().numpy()
         leads = self.independent.tolist()
         return tuple(_name(weight[k], rows[k], lead, parameters) for k, lead in enumerate(leads))
+
+    def under(self, covariance: Float[Tensor, "params params"]) -> "BaseParameters":
+        """The same with the standard deviations of another covariance of the parameters."""
+        return replace(self, sd=((self.matrix @ covariance) * self.matrix).sum(-1).clamp_min(0).sqrt())
 
     def project(self, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, " rank"]:
         """Base parameters of ``phi``."""

@@ -31,7 +31,7 @@ class InertiaFit:
     names: tuple[str, ...]
     phi: Float[Tensor, "bodies 10"]
     covariance: Float[Tensor, "params params"]
-    """Gaussian posterior, without the LMI."""
+    """Gaussian posterior, without the LMI; of a finished run with what is left open of geometry and motion."""
     prior: InertialPrior
     omega_1: float
     omega_2: float

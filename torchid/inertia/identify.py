@@ -35,6 +35,13 @@ class Identified:
     whitening: Whitening
     rows: int
     """Whitened rows: cosine coefficients below the cut-off, times six."""
+    given_motion: Float[Tensor, "params params"] | None = None
+    """Covariance with geometry and motion taken for known; None: the fit's own is that."""
+
+    @property
+    def of_rows(self) -> Float[Tensor, "params params"]:
+        """Covariance with geometry and motion taken for known: what other rows of the same geometry go on from."""
+        return self.fit.covariance if self.given_motion is None else self.given_motion
 
 
 def identify_inertia(

@@ -15,8 +15,9 @@ class IdentifyOptions:
     """Every pseudo-inertia positive definite."""
     prior: Literal["quadratic", "entropic"] = "quadratic"
     """Distance to the prior mean: Mahalanobis, or the log-det divergence of pseudo-inertias."""
-    prior_weight: Literal["evidence", "cross_validation"] | Positive = "evidence"
-    """omega_2, the factor on the prior's precision: a number, or how to choose it."""
+    prior_weight: Literal["evidence", "cross_validation"] | Positive = 1.0
+    """omega_2, the factor on the prior's precision: a number, or how to choose it. One takes the tables' scatter as it
+    is: a factor that evidence chooses for all parameters together makes some of them far surer than they are."""
     floor: Positive = 1e-6
     """Smallest eigenvalue of a pseudo-inertia relative to that of the prior mean (see ``relative_map``)."""
     prior_weight_range: tuple[Positive, Positive] = (1.0, 1e3)

@@ -90,7 +90,16 @@ def uncertainty(phi: Float[Tensor, "bodies 10"], covariance: Float[Tensor, "para
 
 def progress(spectrum: Spectrum, covariance: Float[Tensor, "params params"], omega_2: float) -> Progress:
     """Compare ``covariance`` with what prior and mass alone would leave."""
-    before = spectrum.covariance(0.0, omega_2)
+    return progress_from(spectrum.covariance(0.0, omega_2), covariance)
+
+
+def progress_from(before: Float[Tensor, "params params"], covariance: Float[Tensor, "params params"]) -> Progress:
+    """Return how much of a covariance is gone.
+
+    Args:
+        before: what prior and mass alone leave.
+        covariance: what is left.
+    """
     blocks = torch.linalg.solve(body_blocks(before), body_blocks(covariance))
     share = 1 - covariance.diagonal() / before.diagonal()
     return Progress(

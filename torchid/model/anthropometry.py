@@ -41,6 +41,9 @@ PRODUCT_SD = 0.08
 """Of a product of inertia over mass and the two extents: principal axes lean by some degrees."""
 SCALE_SD = 0.02
 """Of the logarithm of one length scale common to all segments."""
+CUT_SD = 0.035
+"""Choice. Of the heights at which pelvis, abdomen and thorax are cut, for a stature of 1.74 m [m]: at the omphalion or
+at the joint L5/S1, at the xiphoid, T12/L1 or T8, as tables have it. What one part loses is the other's."""
 PARTS = tuple(name[:-2] if name[-2:] in ("_l", "_r") else name for name in SEGMENTS)
 """Segments without their side."""
 
@@ -77,7 +80,8 @@ def inertial_prior(
     sd = torch.cat([scatter.flatten(), scatter.new_tensor([SCALE_SD, total_sd])])
     jacobian = torch.autograd.functional.jacobian(_decode, latent)
     assert isinstance(jacobian, Tensor)
-    half = jacobian * sd
+    cuts = torch.stack([_cuts(geometry, tall, s) for s in (("male", "female") if sex == "unknown" else (sex,))]).mean(0)
+    half = torch.cat([jacobian * sd, jacobian[:, : centre.numel()] @ cuts.to(jacobian).flatten(1).T], 1)
     return InertialPrior(mean=_decode(latent).reshape(-1, 10), covariance=half @ half.T)
 
 
@@ -101,6 +105,13 @@ def body_mass(
             remedy="0.1 for a good scale, 1 for a questionnaire",
         )  # fmt: skip
     return mass, 0.01 * mass if mass_sd is None else mass_sd
+
+
+def _cuts(geometry: Geometry, height: float, sex: str) -> Float[Tensor, "2 bodies 10"]:
+    """Changes of the latents by a standard deviation of where each of the trunk's two cuts is."""
+    sd = CUT_SD * height / 1.74
+    sides = [[_encode(segments(geometry, height, sex, at)) for at in ((s, 0.0), (0.0, s))] for s in (-sd, sd)]
+    return torch.stack([0.5 * (up - down) for down, up in zip(*sides, strict=True)])
 
 
 def _encode(table: list[Segment]) -> Float[Tensor, "bodies 10"]:

@@ -7,6 +7,7 @@ abdomen, above it, with the upper part, the thorax. So the sum and the first mom
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torchid.model.model import Geometry
@@ -72,11 +73,18 @@ class Segment:
     """Root of the second moment per mass about the centre, along each axis [m]."""
 
 
-def segments(geometry: Geometry, height: float, sex: str) -> list[Segment]:
-    """Distribution of mass of all segments, in the order of ``SEGMENTS``."""
+def segments(geometry: Geometry, height: float, sex: str, cuts: tuple[float, float] = (0.0, 0.0)) -> list[Segment]:
+    """Distribution of mass of all segments, in the order of ``SEGMENTS``.
+
+    Args:
+        geometry: joint centres.
+        height: stature [m].
+        sex: whose table.
+        cuts: how much higher pelvis and abdomen, and abdomen and thorax, are cut than they are here [m].
+    """
     table, scale = DE_LEVA[sex], height / STATURE_OF_TABLE[sex]
     offset = dict(zip(SEGMENTS, geometry.offset.tolist(), strict=True))
-    found = _trunk(offset, height, sex) | {"head": _head(table["head"], height, scale)}
+    found = _trunk(offset, height, sex, cuts) | {"head": _head(table["head"], height, scale)}
     for side in SIDES:
         for part, child in (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shank"), ("shank", "foot")):
             found[f"{part}_{side}"] = _long(table[part], offset[f"{child}_{side}"], scale, sex, part, height)
@@ -128,23 +136,27 @@ def _foot(row: Row, height: float, sex: str) -> Segment:
     return Segment(row.mass, com, (along_side[2] * length, along_side[1] * length, along_side[0] * length))
 
 
-def _trunk(offset: dict[str, list[float]], height: float, sex: str) -> dict[str, Segment]:
+def _trunk(offset: dict[str, list[float]], height: float, sex: str, cuts: tuple[float, float]) -> dict[str, Segment]:
     """Pelvis, abdomen and thorax; de Leva's trunk is stretched to reach from the hips to our neck joint."""
-    upper, middle, lower = (DE_LEVA[sex][f"{part}_trunk"] for part in ("upper", "middle", "lower"))
+    rows = [DE_LEVA[sex][f"{part}_trunk"] for part in ("lower", "middle", "upper")]
     low, mid, top = (offset[name] for name in ("abdomen", "thorax", "head"))
-    joint = low[2] + mid[2]
-    stretch = (joint + top[2]) / (upper.length + middle.length + lower.length)
-    metres = height / STATURE_OF_TABLE[sex]
-    omphalion, xiphoid = lower.length * stretch, (lower.length + middle.length) * stretch
-    share = min(max((joint - omphalion) / (xiphoid - omphalion), 0.05), 0.95)
-    below, above = _cut(middle, omphalion, xiphoid - omphalion, share, metres)
-    chest = _slab(upper, xiphoid, upper.length * stretch, metres)
-    pelvis = _slab(lower, 0.0, omphalion, metres)
+    joint, metres = low[2] + mid[2], height / STATURE_OF_TABLE[sex]
+    stretch = (joint + top[2]) / sum(row.length for row in rows)
+    slabs, bottom = [], 0.0
+    for row in rows:
+        slabs.append((_slab(row, bottom, row.length * stretch, metres), bottom, row.length * stretch))
+        bottom += row.length * stretch
+    (_, _, omphalion), (_, _, middle), _ = slabs
+    usual = min(max(joint, omphalion + 0.05 * middle), omphalion + 0.95 * middle)
+    least = 0.05 * middle
+    first = min(max(omphalion + cuts[0], least), usual - least)
+    second = min(max(usual + cuts[1], first + least), bottom - least)
+    pelvis, abdomen, thorax = (_between(slabs, *ends) for ends in ((0.0, first), (first, second), (second, bottom)))
     # Front of the joints [m per m of stature]: belly and chest lie before the spine, the pelvis about over the hips.
     return {
         "pelvis": Segment(pelvis[0], (-0.005 * height, 0.0, pelvis[1]), pelvis[2]),
-        "abdomen": Segment(below[0], (0.014 * height, 0.0, below[1] - low[2]), below[2]),
-        "thorax": _joined(chest, above, 0.020 * height, joint),
+        "abdomen": Segment(abdomen[0], (0.014 * height, 0.0, abdomen[1] - low[2]), abdomen[2]),
+        "thorax": Segment(thorax[0], (0.020 * height, 0.0, thorax[1] - joint), thorax[2]),
     }
 
 
@@ -157,17 +169,27 @@ def _slab(row: Row, bottom: float, thickness: float, metres: float) -> _Slab:
     return row.mass, bottom + (1 - row.com) * thickness, (x, y, z)
 
 
-def _cut(row: Row, bottom: float, thickness: float, share: float, metres: float) -> tuple[_Slab, _Slab]:
-    """Lower and upper piece of a slab of uniform density shifted to the slab's own centre of mass."""
-    mass, centre, (x, y, z) = _slab(row, bottom, thickness, metres)
-    lower = mass * share, centre - 0.5 * (1 - share) * thickness, (x, y, z * share)
-    upper = mass * (1 - share), centre + 0.5 * share * thickness, (x, y, z * (1 - share))
-    return lower, upper
+def _between(slabs: Sequence[tuple[_Slab, float, float]], low: float, high: float) -> _Slab:
+    """What lies between two heights of slabs, each of uniform density shifted to its own centre of mass.
+
+    Args:
+        slabs: each with its bottom and its thickness [m].
+        low, high: the heights [m].
+    """
+    found: _Slab | None = None
+    for (mass, centre, (x, y, z)), bottom, thickness in slabs:
+        start, stop = max(low, bottom), min(high, bottom + thickness)
+        if stop > start:
+            share = (stop - start) / thickness
+            piece = mass * share, centre + 0.5 * (start + stop - 2.0 * bottom - thickness), (x, y, z * share)
+            found = piece if found is None else _joined(found, piece)
+    assert found is not None, "the heights are in order and within the slabs"
+    return found
 
 
-def _joined(a: _Slab, b: _Slab, x: float, origin: float) -> Segment:
+def _joined(a: _Slab, b: _Slab) -> _Slab:
+    """Two slabs as one."""
     mass = a[0] + b[0]
-    z = (a[0] * a[1] + b[0] * b[1]) / mass
-    square = [(a[0] * a[2][k] ** 2 + b[0] * b[2][k] ** 2) / mass for k in range(3)]
-    square[2] += a[0] * b[0] * (a[1] - b[1]) ** 2 / mass**2
-    return Segment(mass, (x, 0.0, z - origin), (math.sqrt(square[0]), math.sqrt(square[1]), math.sqrt(square[2])))
+    x, y, z = ((a[0] * p**2 + b[0] * q**2) / mass for p, q in zip(a[2], b[2], strict=True))
+    z += a[0] * b[0] * (a[1] - b[1]) ** 2 / mass**2
+    return mass, (a[0] * a[1] + b[0] * b[1]) / mass, (math.sqrt(x), math.sqrt(y), math.sqrt(z))

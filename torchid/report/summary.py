@@ -180,9 +180,9 @@ def _spare_rows(outcome: Outcome) -> str:
     factor = math.sqrt(conflict.chi_square / max(conflict.dof, 1))
     if conflict.p_value < CONFLICT and factor > 1.0:
         return (
-            f"Data and tables differ {number(factor)} times as much as their standard deviations say (chi-square "
-            f"{number(conflict.chi_square, 0)} at {conflict.dof} degrees of freedom): take the stated deviations times "
-            f"{number(factor)}."
+            f"Data and tables differ {number(factor)} times as much as the deviations of both say where geometry is "
+            f"taken for known (chi-square {number(conflict.chi_square, 0)} at {conflict.dof} degrees of freedom): the "
+            "stated deviations may be too small."
         )
     return ""
 

@@ -13,6 +13,7 @@ import torch
 from torchid.config import Config, dump_config
 from torchid.dynamics.rows import residual_rms
 from torchid.errors import DataError, Note
+from torchid.extension.open_geometry import with_open_geometry
 from torchid.extension.verdict import with_verdict
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
@@ -165,6 +166,8 @@ def compute_outcome(
         outcome = replace(outcome, residuals=contributions(outcome))
     if config.diagnosis.enabled:
         outcome = with_verdict(outcome, folder, key, progress)
+    with folder.timed("deviations"):
+        outcome = with_open_geometry(outcome, folder.room)
     return with_torques(outcome, folder), None
 
 

@@ -163,7 +163,7 @@ def draw_bodies(
     skin = draw_skin(trials, count, generator)
     if identified is None:
         return BodyDraws(xi, skin, phi.expand(count, *phi.shape))
-    own = _normal(identified.fit.covariance, phi, count, generator).view(count, *phi.shape)
+    own = _normal(identified.of_rows, phi, count, generator).view(count, *phi.shape)
     fitted = [trial for trial in trials if trial.rows is not None]
     moved = _inertia_of(fit, identified, fitted, xi, skin, mass) if fitted else torch.zeros_like(own)
     return BodyDraws(xi, skin, phi + own + moved)

@@ -46,6 +46,11 @@ class Posterior:
         """Covariance of z, in the order of ``mean``."""
         return torch.cholesky_inverse(self.factor)
 
+    @property
+    def information(self) -> Float[Tensor, "n n"]:
+        """Inverse of ``covariance``."""
+        return self.factor @ self.factor.mT
+
     def z(self, columns: int, trial: int) -> Float[Tensor, " all"]:
         """Return the mean of z over all columns of the design in one trial.
 

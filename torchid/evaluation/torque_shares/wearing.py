@@ -124,7 +124,7 @@ def _identified(
     """A device as the trials with it tell; as its sheet says where they cannot."""
     if outcome.identified is None or not rows:
         return _usable(device, recorded)
-    body = BodyBelief(outcome.phi, outcome.identified.fit.covariance)
+    body = BodyBelief(outcome.phi, outcome.identified.of_rows)
     try:
         told = identify_device(device, body, rows, recorded)
         findings = device_findings(device, body, rows, recorded)
