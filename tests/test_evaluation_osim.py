@@ -185,6 +185,7 @@ def taken_up(folder: Path) -> tuple[dict, Truth]:
 
 @pytest.mark.data
 @pytest.mark.slow
+@pytest.mark.battery
 @pytest.mark.usefixtures("tables_alone")
 def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: Path) -> None:
     """From files: a knee spring's share is the sheet's at the file's coordinate, the other body is the model as it was

@@ -83,6 +83,7 @@ def _silent(stage: str, fraction: float) -> None: ...
 
 
 @pytest.mark.slow
+@pytest.mark.battery
 def test_a_swap_leaves_nothing_for_skin_and_joints(swap, fits):
     """Planted, it is the only thing named, when it was; nothing is left for the fit with the names put right."""
     (found,) = fits["whole"].diagnosis.causes

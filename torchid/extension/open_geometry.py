@@ -3,7 +3,7 @@
 The inertial fit takes geometry, places of markers, skin and zeros of plates for known. With errors xi of these, whose
 columns G the diagnosis has as nuisances, its estimate moves by J xi with J = (Y' W Y + P^-1)^-1 Y' W G. Markers, and
 what recordings usually have, say of xi a mean m and a covariance S. So J (S + m m') J' is added to the covariance of
-the fit (law of propagation of uncertainty: JCGM 100:2008, 5.1.2). Y is the diagnosis', shrunk by its noise.
+the fit (law of propagation of uncertainty: JCGM 100:2008, 5.1.2). Y is as the fit has it.
 """
 
 from collections.abc import Callable, Sequence
@@ -57,7 +57,7 @@ def with_open_geometry(outcome: Outcome, room: Room = in_memory) -> Outcome:
 def _observed(outcome: Outcome, room: Room) -> list[TrialObservation]:
     """Return the fit trials of which something is left without their ends."""
     every = observe_outcome(outcome, "fit", searched(forceful(outcome, "fit"))).values()
-    return [replace(one, room=room) for one in every if any(True for _ in one.rows.blocks())]
+    return [replace(one, room=room, as_measured=True) for one in every if any(True for _ in one.rows.blocks())]
 
 
 def _held_to(outcome: Outcome) -> Mass:

@@ -65,6 +65,8 @@ class TrialObservation:
     """Markers of the trial; None where no camera is at hand."""
     room: Callable[[Sequence[int]], Tensor] = in_memory
     """Makes zeros of a shape for what takes most memory, to be filled; by default they lie in memory."""
+    as_measured: bool = False
+    """True where columns are taken as they are, whatever noise is in them: as the inertial fit takes them."""
 
     @cached_property
     def inertial(self) -> Float[Tensor, "6 params frames"]:
@@ -138,8 +140,9 @@ class TrialObservation:
 
     @cached_property
     def noise_budget(self) -> NoiseBudget | None:
-        """Energy that noise has in the wrench, band by band; None where no camera shows that of the markers."""
-        if self.response is None:
+        """Energy that noise has in the wrench, band by band; None where no camera shows that of the markers, or it is
+        not asked for."""
+        if self.response is None or self.as_measured:
             return None
         left = measured(self.rows) - self.identified
         return make_noise_budget(
