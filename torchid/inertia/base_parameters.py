@@ -61,7 +61,7 @@ class BaseParameters:
 
     def under(self, covariance: Float[Tensor, "params params"]) -> "BaseParameters":
         """The same with the standard deviations of another covariance of the parameters."""
-        return replace(self, sd=((self.matrix @ covariance) * self.matrix).sum(-1).clamp_min(0).sqrt())
+        return replace(self, sd=_deviations(self.matrix, covariance))
 
     def project(self, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, " rank"]:
         """Base parameters of ``phi``."""
@@ -91,6 +91,13 @@ def structure(equations: NormalEquations, tolerance: float) -> Structure:
     return Structure(norm, singular[kept, None] * vectors[:, kept].mT, condition)
 
 
+def _deviations(
+    matrix: Float[Tensor, "rank params"], covariance: Float[Tensor, "params params"]
+) -> Float[Tensor, " rank"]:
+    """Standard deviations of combinations of the parameters."""
+    return ((matrix @ covariance) * matrix).sum(-1).clamp_min(0).sqrt()
+
+
 def base_parameters(
     data: Structure, names: tuple[str, ...], phi: Float[Tensor, "bodies 10"], covariance: Float[Tensor, "params params"]
 ) -> BaseParameters:
@@ -111,10 +118,9 @@ def base_parameters(
     independent, unit = order[:rank][rising], unit[rising]
     norm = data.norm.cpu().numpy()
     matrix = phi.new_tensor(unit * norm / norm[independent, None])
-    variance = ((matrix @ covariance) * matrix).sum(-1)
     chosen = torch.as_tensor(independent.astype(np.int64), device=phi.device)
     value = matrix @ phi.flatten()
-    return BaseParameters(matrix, chosen, value, variance.clamp_min(0).sqrt(), phi.new_tensor(unit), names)
+    return BaseParameters(matrix, chosen, value, _deviations(matrix, covariance), phi.new_tensor(unit), names)
 
 
 def _name(unit: np.ndarray, row: np.ndarray, lead: int, parameters: list[str]) -> str:

@@ -71,7 +71,8 @@ def inertial_prior(
     tall, _ = stature(height, sex, age)
     build = build_of(height, mass, age)
     total, total_sd = body_mass(tall, mass, mass_sd, build.slender)
-    tables = [segments(geometry, tall, s) for s in (("male", "female") if sex == "unknown" else (sex,))]
+    sexes = ("male", "female") if sex == "unknown" else (sex,)
+    tables = [segments(geometry, tall, own) for own in sexes]
     both = torch.stack([_encode(table) for table in tables]).to(geometry.offset)
     centre, apart = both.mean(dim=0), 0.5 * (both[0] - both[-1]).abs()
     scatter = torch.hypot(_scatter(tall, build).to(apart), apart)
@@ -80,7 +81,7 @@ def inertial_prior(
     sd = torch.cat([scatter.flatten(), scatter.new_tensor([SCALE_SD, total_sd])])
     jacobian = torch.autograd.functional.jacobian(_decode, latent)
     assert isinstance(jacobian, Tensor)
-    cuts = torch.stack([_cuts(geometry, tall, s) for s in (("male", "female") if sex == "unknown" else (sex,))]).mean(0)
+    cuts = torch.stack([_cuts(geometry, tall, own) for own in sexes]).mean(0)
     half = torch.cat([jacobian * sd, jacobian[:, : centre.numel()] @ cuts.to(jacobian).flatten(1).T], 1)
     return InertialPrior(mean=_decode(latent).reshape(-1, 10), covariance=half @ half.T)
 
