@@ -1,4 +1,5 @@
-"""Coverage of the torques' bands, and their error beside the scaled template's, on simulated subjects.
+"""Coverage of the torques' bands, and their error beside the scaled template's and beside that of torques of the motion
+that obeys its forces, on simulated subjects.
 
     cd scripts && python -m benchmarks.torques [--subjects 10] [--seed 700] [--skin-mm 0] [--draws 48]
 
@@ -39,29 +40,34 @@ def compare(session: SimulatedSession, outcome: Outcome, draws: int, seed: int) 
     drawn = outcome_draws(outcome, names, draws, seed, PlateErrors(0.0, 0.0))
     seconds = time.perf_counter() - began
     found = {"seconds": seconds}
-    inside, error, template, width, filtered, template_filtered = [], [], [], [], [], []
+    inside, error, template, width, filtered, template_filtered, consistent = [], [], [], [], [], [], []
     for name in names:
         true, published, scaled = true_torques(session, name), outcome.torque[name], outcome.torque_scaled[name]
         used = outcome.followed[name].wrench.used
+        if name not in outcome.consistent:
+            continue
         kept = torch.isfinite(published) & torch.isfinite(scaled) & used[:, None]
         kept[:, :6] = False
         off, sd = published - true, drawn.sd(name)
+        obeying = outcome.consistent[name].torque
         inside.append((off.abs() < WITHIN * sd)[kept])
         error.append(off[kept])
         template.append((scaled - true)[kept])
         alike = outcome.followed[name].motion.smoother(true)
         filtered.append((published - alike)[kept])
+        consistent.append((obeying - alike)[kept])
         template_filtered.append((scaled - alike)[kept])
         width.append(sd[kept])
     rms = lambda parts: float(torch.cat(parts).square().mean().sqrt())  # noqa: E731
     off = outcome.phi[:, 0] - session.subject.phi[:, 0]
     covered = lambda sd: float((off.abs() < WITHIN * sd).double().mean())  # noqa: E731
     found["mass_coverage"] = covered((drawn.bodies.phi - outcome.phi).square().mean(0).sqrt()[:, 0])
-    found["mass_coverage_inertia_alone"] = covered(outcome.identified.fit.sd.mass)
+    found["mass_coverage_stated"] = covered(outcome.identified.fit.sd.mass)
     return found | {
         "coverage": float(torch.cat(inside).double().mean()),
         "rmse_Nm": rms(error), "template_rmse_Nm": rms(template), "sd_Nm": rms(width),
         "rmse_filtered_Nm": rms(filtered), "template_rmse_filtered_Nm": rms(template_filtered),
+        "consistent_rmse_filtered_Nm": rms(consistent),
     }  # fmt: skip
 
 
@@ -73,7 +79,7 @@ def main() -> None:
 
     def row(seed: int) -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder:
-            return compare(*simulated(options, seed, folder), wanted.draws, seed)
+            return compare(*simulated(options, seed, folder, "motion.consistent=true"), wanted.draws, seed)
 
     rows = list(each(range(wanted.seed, wanted.seed + wanted.subjects), row, skip=True))
     print("mean  " + figures(means(rows)))

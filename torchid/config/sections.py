@@ -113,6 +113,9 @@ class MotionOptions(ConfigSection):
     """Smoothing spline (default), or a Butterworth filter run forwards and backwards."""
     cutoff_hz: Positive | Literal["auto"] = "auto"
     """Frequency above which motion and forces are filtered out; auto: chosen from the recordings."""
+    consistent: bool = False
+    """True finds for every trial whose contacts plates measure the motion that obeys them, too, once the inertia is
+    identified (docs/torques.md)."""
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,9 @@ class Torques(ConfigSection):
     """How far joint torques can be trusted."""
 
     draws: Annotated[int, Field(ge=0, le=4096)] = 0
-    """Bodies, plates and errors of markers that are drawn for the standard deviations of torques (docs/torques.md); 0:
-    none, which saves some seconds for every minute of motion. Thirty know a standard deviation to 13 %."""
+    """Bodies, plates and errors of markers that are drawn for the standard deviations of torques (docs/torques.md), and
+    errors of markers alone for those of motion that obeys its forces; 0: none, which saves some seconds for every
+    minute of motion. Thirty know a standard deviation to 13 %."""
 
 
 class DiagnosisSection(ConfigSection):

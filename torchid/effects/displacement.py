@@ -105,6 +105,19 @@ def carriage(scene: Scene) -> Float[Tensor, "frames rows dofs"]:
     return both.permute(3, 0, 2, 1).flatten(1, 2).contiguous()
 
 
+def coordinate_levers(scene: Scene) -> Float[Tensor, "9 dofs frames"]:
+    """Vectors A, B, C (see the module) per unit of each coordinate: ``levers`` times ``carriage``, by sums over what
+    each joint carries."""
+    state = scene.state
+    own = levers(scene).unflatten(2, (-1, 6)).permute(2, 1, 3, 0).contiguous()
+    arm = (state.at.p - state.at.p[:1])[:, None].expand(-1, own.shape[1], -1, -1)
+    own[:, :, 3:] += cross(arm, own[:, :, :3])
+    carried = (state.at.tables.above.mT @ own.flatten(1)).view_as(own)
+    S, body = joint_axes(state)
+    found = torch.einsum("jikt,jkt->jit", carried[body], S)
+    return scene.tree.fold(state.at.q, found).transpose(0, 1).contiguous()
+
+
 def supports(scene: Scene) -> Tensor:
     """(bodies, axes) whether a body, by plan position, moves with an axis value."""
     plan = scene.state.plan

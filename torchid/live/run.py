@@ -173,7 +173,7 @@ def _refuse_intervals(config: Config) -> None:
 
 def _from_standing(config: Config, session: Session, folder: OutputFolder, progress: OnStage) -> GeometryFit:
     paths = [path for file in config.trials for path in (file.file, file.forces) if path is not None]
-    own = config.model_dump(mode="json", exclude={*UNKEYED, "diagnosis", "inertia"})
+    own = config.model_dump(mode="json", exclude={**UNKEYED, "diagnosis": True, "inertia": True})
     key = stage_key(inputs=[file_sha256(one) for path in paths for one in files_on_disk(path)], config=own)
     return folder.stage("live_geometry", key, lambda: fit_session(config.geometry, session, True, progress))
 

@@ -31,6 +31,7 @@ STAGES = (
     ("diagnosis", "Diagnosis"),
     ("witnesses", "Model-free checks"),
     ("torques", "Joint torques"),
+    ("consistent", "Motion that obeys its forces"),
 )
 """Beginnings of the names of stages, and what they are."""
 

@@ -12,6 +12,7 @@ from markupsafe import Markup, escape
 from torchid.errors import DataError
 from torchid.report.blocks import Section
 from torchid.report.body import body_section
+from torchid.report.consistent import consistent_section
 from torchid.report.data_handling import handling_section
 from torchid.report.diagnosis import diagnosis_section
 from torchid.report.facts import wrenches
@@ -51,6 +52,7 @@ def sections(
         diagnosis_section(outcome),
         gait_section(joint_cycles(outcome)),
         joints_section(outcome),
+        consistent_section(outcome),
         handling_section(outcome),
         method_section(outcome),
     ]

@@ -22,6 +22,7 @@ from torchid.motion.impossible_rates import frames_of, impossible_steps
 from torchid.recording import Trial
 from torchid.report import write_report
 from torchid.run.acceptance import impossible
+from torchid.run.consistent import with_consistent
 from torchid.run.simulation import with_recordings
 from torchid.run.torque_bands import outcome_draws
 from torchid.run.write import result_names, write_outcome
@@ -105,14 +106,14 @@ GEOMETRY = "geometry"
 """Stage of the identified geometry."""
 
 
-UNKEYED = frozenset({"out", "threads", "tables", "bids"})
-"""Keys of a config on which no result depends."""
+UNKEYED = {"out": True, "threads": True, "tables": True, "bids": True, "torques": True, "motion": {"consistent"}}
+"""Keys of a config on which no stored stage depends, as pydantic leaves them out."""
 
 
 def _claim(folder: OutputFolder, config: Config) -> None:
     """No work for results that have no place: InputError where a file of the user's has the name of one."""
     names, subject = (trial.name for trial in config.trials), config.subject.name if config.bids else None
-    folder.claim(result_names(names, config.tables, subject))
+    folder.claim(result_names(names, config.tables, subject, config.motion.consistent))
     if not folder.owns(CONFIGS[0]):
         folder.claim(CONFIGS[1:])
 
@@ -127,7 +128,7 @@ def inputs(config: Config) -> list[Path]:
 
 def run_key(config: Config) -> str:
     """Key of a run's stages: files and options."""
-    own = {k: v for k, v in config.model_dump(mode="json").items() if k not in UNKEYED}
+    own = config.model_dump(mode="json", exclude=UNKEYED)
     return stage_key(inputs=[file_sha256(path) for path in inputs(config)], config=own)
 
 
@@ -155,12 +156,12 @@ def compute_outcome(
     )  # fmt: skip
     outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed), *_rate_notes(fit, followed)))
     if not config.inertia.enabled:
-        return with_torques(outcome, folder), None
+        return _with_forces(outcome, folder), None
     try:
         identified = folder.stage("inertia", key, lambda: identify(config.inertia, config.subject, outcome, progress))
     except DataError as failure:
         log.info("%s", failure)
-        return with_torques(outcome, folder), failure
+        return _with_forces(outcome, folder), failure
     outcome = replace(outcome, identified=identified, notes=(*outcome.notes, *identified.fit.notes))
     with folder.timed("residuals"):
         outcome = replace(outcome, residuals=contributions(outcome))
@@ -168,7 +169,13 @@ def compute_outcome(
         outcome = with_verdict(outcome, folder, key, progress)
     with folder.timed("deviations"):
         outcome = with_open_geometry(outcome, folder.room)
-    return with_torques(outcome, folder), None
+    return _with_forces(outcome, folder), None
+
+
+def _with_forces(outcome: Outcome, folder: OutputFolder) -> Outcome:
+    """Return the outcome with torques, and with the motion that obeys its forces where the config asks for it."""
+    outcome = with_torques(outcome, folder)
+    return with_consistent(outcome, folder) if outcome.config.motion.consistent else outcome
 
 
 def _geometry(

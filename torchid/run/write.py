@@ -1,6 +1,7 @@
 """Result files of section 3 of the contracts: JSON tables, netCDF series, OpenSim storages, model files."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from torchid.model.opensim.model import CoordinateKind
 from torchid.model.opensim.writing_back import identified_model, write_back
 from torchid.model.osim import osim_coordinates, osim_forces, osim_names, write_osim
 from torchid.model.urdf import write_urdf
+from torchid.motion import Motion
 from torchid.recording import Plate
 from torchid.run.bids import bids_names, write_bids_about, write_bids_trial
 from torchid.run.opensim_setup import SUFFIXES, ToolFiles, write_tool_files
@@ -47,19 +49,26 @@ COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
 _SOURCES = ", ".join(f"{one.value} {one.name.lower()}" for one in WrenchSource)
 SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
 """Names of a trial's files beside those for OpenSim's tool (``opensim_setup.SUFFIXES``)."""
+CONSISTENT = ("{}_consistent.mot", "{}_consistent_id.sto")
+"""Names of a trial's files for OpenSim that hold the motion that obeys its forces."""
+COURSES = ("q", "v", "a", "torque")
+"""Courses of a motion in files."""
 
 
-def result_names(trials: Iterable[str], forms: Iterable[Form] = (), subject: str | None = None) -> list[str]:
+def result_names(
+    trials: Iterable[str], forms: Iterable[Form] = (), subject: str | None = None, consistent: bool = False
+) -> list[str]:
     """Every file that a run may write, but for its config.
 
     Args:
         trials: their names.
         forms: of its tables, beside CSV.
         subject: whom its data set of Motion-BIDS shows; None where it writes none.
+        consistent: True where it writes the motion that obeys its forces.
     """
-    trials = list(trials)
+    trials, own = list(trials), CONSISTENT if consistent else ()
     tables = [f"{name}.{form}" for form in ("csv", *forms) for name in ("results", "cycles")]
-    series = [name.format(safe_name(trial)) for trial in trials for name in (*SERIES, *SUFFIXES)]
+    series = [name.format(safe_name(trial)) for trial in trials for name in (*SERIES, *SUFFIXES, *own)]
     return [*TABLES, *tables, *series, *([] if subject is None else bids_names(subject, trials))]
 
 
@@ -103,17 +112,31 @@ def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
     write_netcdf(motion, (_piece(outcome, name, piece) for piece in pieces))
     if item.wrench is not None:
         write_netcdf(forces, [forces_dataset(outcome, item)])
-    time = item.motion.time.numpy()
-    coordinates, forces_by_name = opensim_tables(outcome.fit.model, item.motion.q, outcome.torque[name])
-    for path, table, title in ((kinematics, coordinates, "kinematics"), (dynamics, forces_by_name, "dynamics")):
-        values = torch.stack(list(table.values()), dim=1).numpy()
-        write_storage(path, tuple(table), time, values, title=f"{name} {title}")
+    _write_storages(outcome.fit.model, name, item.motion, outcome.torque[name], (kinematics, dynamics))
+    if (own := outcome.consistent.get(name)) is not None:
+        both = [folder.path(file.format(safe_name(name))) for file in CONSISTENT]
+        _write_storages(outcome.fit.model, f"{name} consistent", own.motion, own.torque, both)
     under = outcome.under.get(name)
     if under is not None and under.contacts:
         grf, loads, setup = (folder.path(file.format(safe_name(name))) for file in SUFFIXES)
         write_tool_files(under, item.motion.time, ToolFiles(grf, loads, setup, kinematics))
     if outcome.config.bids:
         write_bids_trial(outcome, name, pieces, folder.path)
+
+
+def _write_storages(
+    model: Model, title: str, motion: Motion, torque: Float[Tensor, "frames dofs"], paths: Sequence[Path]
+) -> None:
+    """Write coordinates and generalised forces for OpenSim.
+
+    Args:
+        paths: of the two files.
+    """
+    for path, table, kind in zip(
+        paths, opensim_tables(model, motion.q, torque), ("kinematics", "dynamics"), strict=True
+    ):
+        values = torch.stack(list(table.values()), dim=1).numpy()
+        write_storage(path, tuple(table), motion.time.numpy(), values, title=f"{title} {kind}")
 
 
 def opensim_tables(
@@ -168,6 +191,7 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "markers_modelled": (by_marker, modelled(fit, tracked.q[part]).numpy()),
             "observable": (("time",), tracked.observable[part].numpy()),
             **_under(outcome, name, part),
+            **{key: (by_dof, x[part].numpy()) for key, x in _consistent(outcome, name)},
             **({"torque_sd": (by_dof, outcome.torque_sd[name][part].numpy())} if name in outcome.torque_sd else {}),
         },
         coords={
@@ -181,6 +205,15 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "acceleration in W; torque 0-5: residual force and moment at the root's origin, in W",
         },
     )  # fmt: skip
+
+
+def _consistent(outcome: Outcome, name: str) -> Iterator[tuple[str, Tensor]]:
+    """Courses of the motion that obeys its forces, and their standard deviations, with their names in files."""
+    found = outcome.consistent.get(name)
+    if found is not None:
+        whole = (found.motion.q, found.motion.v, found.motion.a, found.torque)
+        yield from zip((f"{course}_consistent" for course in COURSES), whole, strict=True)
+        yield from zip((f"{course}_consistent_sd" for course in COURSES), found.sd or (), strict=False)
 
 
 def _under(outcome: Outcome, name: str, part: slice) -> dict[str, tuple]:

@@ -21,6 +21,7 @@ from torchid.motion import Motion
 from torchid.recording import Trial
 from torchid.session.session import Session
 from torchid.storage.provenance import StageTime
+from torchid.torque.consistent import ConsistentTrial
 
 
 class QualityLevel(StrEnum):
@@ -173,6 +174,8 @@ class Outcome:
     torque_scaled: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
     torque_sd: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
     """Standard deviations of ``torque`` (``torques.draws``); none where nothing was drawn."""
+    consistent: dict[str, ConsistentTrial] = field(default_factory=dict)
+    """Motion that obeys the forces (``motion.consistent``), by trial; trials without usable forces are left out."""
     under: dict[str, ContactWrenches] = field(default_factory=dict)
     """Wrenches under the feet with the identified body, by trial; trials whose feet nobody tells are left out."""
     residuals: tuple[Residual, ...] = ()

@@ -1,1 +1,1 @@
-"""Joint torques, and how far they scatter with everything that they are computed from."""
+"""Joint torques, how far they scatter with everything that they are computed from, and motion that obeys its forces."""
