@@ -229,7 +229,7 @@ def test_errors_of_markers_have_the_spectrum_of_their_residuals(seen, seed: int)
     weight = seen.response.weight.amax(1, keepdim=True).expand(-1, frames)
     drawn = replace(seen.response, error=error * scale[:, None, None], weight=weight)
     drawn.__dict__["bands"] = seen.response.bands
-    found = error_penalty(drawn, 6.0)
+    found = error_penalty(drawn, Smoother(100.0 * rate, rate))
     inner = squared[(frequency > 0.1) & (frequency < 6.0)]
     terms = torch.stack([torch.ones_like(inner), inner, inner.square()], 1)
     assert float(((terms @ found) / (terms @ true)).log().abs().max()) < 0.2

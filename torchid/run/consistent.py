@@ -1,7 +1,7 @@
 """Motion that obeys its forces, for the trials of a finished outcome: in pieces that memory holds."""
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -14,10 +14,9 @@ from torchid.errors import Note
 from torchid.geometry.tracking import modelled
 from torchid.observation.trial import make_response
 from torchid.session import Followed, Outcome
-from torchid.session.following import contact_loads, torques
+from torchid.session.following import torques
 from torchid.storage.results import OutputFolder
 from torchid.torque.consistent import Agreement, ConsistentMotion, ConsistentTrial, changed, consistent_motion
-from torchid.torque.inverse import Load, joint_torques
 
 PIECE = 1024
 """Resolution. Frames whose motion is found at a time; their system takes 150 MB."""
@@ -85,28 +84,25 @@ def _pieces(frames: int, rate_hz: float) -> Iterator[_Piece]:
 
 
 def _consistent(outcome: Outcome, name: str) -> ConsistentTrial:
-    """The motion of one trial, its torques, and their deviations where any are drawn."""
+    """The motion of one trial with its torques, and its deviations where any are drawn."""
     item, count = outcome.followed[name], outcome.config.torques.draws
     assert item.wrench is not None
     rows, frames = item.wrench, len(item.wrench.used)
-    loads = contact_loads(item, outcome.right(name), outcome.under.get(name))
     generator = torch.Generator().manual_seed(outcome.config.seed + zlib.crc32(name.encode()))
     change, settled = torch.zeros_like(rows.motion.q), True
     trust = torch.zeros_like(rows.used, dtype=change.dtype)
-    variance = change.new_zeros(len(change), 4, change.shape[1])
+    variance = change.new_zeros(len(change), 3, change.shape[1])
     for piece in _pieces(frames, rows.rate):
         found = _found(outcome, item, piece.part)
         settled &= found.settled
         piece.add(found.change, change)
         piece.add(found.trust, trust)
         if count:
-            own = [replace(load, wrench=load.wrench[piece.part]) for load in loads]
-            piece.add(_variance(outcome, found, own, count, generator), variance)
+            piece.add(_variance(found, count, generator), variance)
     motion = changed(rows, change)
     followed = replace(item, motion=motion, wrench=replace(rows, motion=motion))
     torque = torques(followed, rows.tree, rows.geometry, outcome.phi, outcome.right(name), outcome.under.get(name))
-    q, v, a, force = variance.sqrt().unbind(1)
-    sd = (q, v, a, torch.where(torch.isfinite(torque), force, torch.nan)) if count else None
+    sd = variance.sqrt().unbind(1) if count else None
     before, after = (_agreement(outcome, one) for one in (item, followed))
     trusted = float(trust[rows.used].mean())
     return ConsistentTrial(motion, torque, change, settled, trusted, before, after, sd)
@@ -122,16 +118,11 @@ def _found(outcome: Outcome, item: Followed, part: slice) -> ConsistentMotion:
     return consistent_motion(response, rows, outcome.phi)
 
 
-def _variance(
-    outcome: Outcome, found: ConsistentMotion, loads: Sequence[Load], count: int, generator: torch.Generator
-) -> Tensor:
-    """Variances of q, v, a and of the torques, (frames, 4, dofs), from draws of the motion."""
-    tree, geometry = outcome.fit.model.tree, outcome.fit.geometry
-    middle, square = found.motion, found.change.new_zeros(len(found.change), 4, found.change.shape[1])
-    torque = joint_torques(tree, geometry, outcome.phi, middle, loads)
+def _variance(found: ConsistentMotion, count: int, generator: torch.Generator) -> Float[Tensor, "frames 3 dofs"]:
+    """Variances of q, v and a, from draws of the motion."""
+    square = found.change.new_zeros(len(found.change), 3, found.change.shape[1])
     for error, drawn in found.draw(count, generator):
-        own = joint_torques(tree, geometry, outcome.phi, drawn, loads)
-        square += torch.stack((error, drawn.v - middle.v, drawn.a - middle.a, own - torque), 1).square()
+        square += torch.stack((error, drawn.v - found.motion.v, drawn.a - found.motion.a), 1).square()
     return square / count
 
 

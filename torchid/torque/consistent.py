@@ -107,8 +107,8 @@ class ConsistentTrial:
     before: Agreement
     after: Agreement
     sd: tuple[Float[Tensor, "frames dofs"], ...] | None = None
-    """Standard deviations of q (columns 3 to 5: turn of the base in W), v, a and torque, with body and plates taken for
-    known (``torques.draws``); None where nothing was drawn."""
+    """Standard deviations of q (columns 3 to 5: turn of the base in W), v and a, with body and plates taken for known
+    (``torques.draws``); None where nothing was drawn."""
 
 
 def changed(rows: WrenchTrial, change: Float[Tensor, "frames dofs"]) -> Motion:
@@ -203,7 +203,7 @@ def consistent_motion(
     smoother = rows.motion.smoother
     every = max(LEAST, round(smoother.rate_hz / (KNOTS_PER_PERIOD * smoother.cutoff_hz)))
     knots = Knots(len(rows.used), every, smoother.rate_hz)
-    penalty, even = _penalty(knots, response, smoother.cutoff_hz), rows.used.to(rows.wrench).expand(6, -1)
+    penalty, even = _penalty(knots, response, smoother), rows.used.to(rows.wrench).expand(6, -1)
     problem = _Problem(rows, phi, errors, knots, penalty, even)
     state = problem.at(torch.zeros(knots.coefficients, rows.motion.q.shape[1]).to(rows.wrench))
     linear, least, settled = _linearised(problem, state.scene), GAINED * state.cost, False
@@ -260,10 +260,10 @@ def _searched(problem: _Problem, state: _State, step: Float[Tensor, "coefficient
     return state
 
 
-def _penalty(knots: Knots, response: MarkerResponse, highest_hz: float) -> BlockBand:
+def _penalty(knots: Knots, response: MarkerResponse, smoother: Smoother) -> BlockBand:
     """Inverse covariance of the coefficients of a course of postures under the errors of markers."""
     H, basis = posture_precision(response), knots.basis(response.weight)
-    weight = error_penalty(response, highest_hz)
+    weight = error_penalty(response, smoother)
     pairs = torch.einsum("c,chp,chq->pqh", weight, basis, basis).flatten(0, 1)
     parts = (pairs @ knots.by_interval(H.flatten(1))).unflatten(2, H.shape[1:]).unflatten(1, (TOUCHED, TOUCHED))
     band = BlockBand(knots, H.shape[1], H)

@@ -13,12 +13,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.dynamics.whitening import cosine_matrix
+from torchid.filters import Smoother
 from torchid.observation.marker_response import MarkerResponse
 from torchid.torque.bodies import TOGETHER, TURN_PER_SHIFT
 from torchid.torque.seen import KEPT
 
-LEAST = 1e-6
+LEAST = 1e-4
 """Resolution. Least power of errors, relative to the scatter of the fit: markers without any leave no postures."""
+BEYOND = 2.0
+"""Resolution. Frequency up to which errors are looked at, over the cut-off: splines of the change reach as far."""
 UNSEEN = 0.1
 """Choice. Standard deviation of every coordinate beside what markers say [rad, m]: which of two joints of the spine
 turned, or whether a forearm did, markers hardly tell, and plates must not."""
@@ -59,16 +62,17 @@ def _pose_precision(response: MarkerResponse) -> Float[Tensor, "bodies 6 6"]:
     return torch.linalg.solve(torch.eye(6).to(p) + told @ together, told)
 
 
-def error_penalty(response: MarkerResponse, highest_hz: float) -> Float[Tensor, " 3"]:
+def error_penalty(response: MarkerResponse, smoother: Smoother) -> Float[Tensor, " 3"]:
     """Return weights of the squares of a course and of its first and second derivative [1, s^2, s^4].
 
     Per frame and times ``posture_precision`` they are the precision of a course of postures: one over the power of the
     errors, as a polynomial of the squared frequency whose likelihood is largest (Whittle, Ark Mat 2:423 (1953)).
 
     Args:
-        highest_hz: frequency up to which residuals are looked at.
+        smoother: filter that the motion has passed, and errors of markers with it.
     """
-    frequency, power = _error_power(response, highest_hz)
+    frequency, power = _error_power(response, BEYOND * smoother.cutoff_hz)
+    power = (power * smoother.response(frequency).square()).clamp(min=LEAST)
     squared = (2.0 * math.pi * frequency).square()
     terms = torch.stack([torch.ones_like(squared), squared, squared.square()], 1)
     logs = (1.0 / (3.0 * (power[:, None] * terms).mean(0))).log().requires_grad_(True)
@@ -94,6 +98,6 @@ def _error_power(response: MarkerResponse, highest_hz: float) -> tuple[Tensor, T
     frames, rate = scaled.shape[2], response.sight.scene.rate
     count = min(frames, max(TERMS + 1, math.ceil(2.0 * highest_hz * frames / rate)))
     C = cosine_matrix(frames, count).to(scaled)[1:]
-    seen = (response.weight > 0.0).double().mean().clamp(min=LEAST)
+    seen = (response.weight > 0.0).double().mean().clamp(min=1.0 / response.weight.numel())
     power = (scaled.flatten(0, 1) @ C.mT).square().mean(0) / seen
-    return 0.5 * rate / frames * torch.arange(1, count).to(power), power.clamp(min=LEAST)
+    return 0.5 * rate / frames * torch.arange(1, count).to(power), power
