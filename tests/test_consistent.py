@@ -266,7 +266,8 @@ def test_the_report_shows_what_was_left_and_what_moved(outcome, tmp_path) -> Non
         found = with_consistent(outcome, folder)
     section = consistent_section(found)
     assert section is not None
-    figure, trials, changes = section.blocks
+    figure, trials, details = section.blocks
+    (changes,) = details.blocks
     assert [row[0] for row in trials.rows] == list(found.consistent)
     assert len(changes.rows) == len(outcome.fit.model.tree.dofs)
     for one in found.consistent.values():

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from torch import Tensor
 
-from torchid.report.blocks import Block, Figure, Section, Table
+from torchid.report.blocks import Block, Details, Figure, Section, Table
 from torchid.report.facts import Judges, judges
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.report.forces import POINTS
@@ -21,6 +21,7 @@ PANELS = 6
 """Coordinates that are drawn: those that changed most."""
 COLUMNS = 3
 """Panels of a row."""
+COORDINATES = "Change of each coordinate over all trials; the root's three turns are about the laboratory's axes"
 
 
 def consistent_section(outcome: Outcome) -> Section | None:
@@ -40,7 +41,7 @@ def consistent_section(outcome: Outcome) -> Section | None:
         f"{number(before[2])} mm from that one, both behind the filter."
     )
     shown = max(own, key=lambda name: float(_moved(outcome, found[name]).max()))
-    blocks: list[Block] = [*_figure(outcome, shown), _trials(found), _changes(outcome)]
+    blocks: list[Block] = [*_figure(outcome, shown), _trials(found), Details(COORDINATES, (_changes(outcome),))]
     return Section("consistent", "Motion that obeys its forces", finding, tuple(blocks))
 
 
@@ -136,5 +137,4 @@ def _changes(outcome: Outcome) -> Table:
         (_words(outcome, k), number(size[k]), number(largest[k]), _unit(outcome, k))
         for k in range(len(outcome.fit.model.tree.dofs))
     ]
-    caption = "Change of each coordinate over all trials; the root's three turns are about the laboratory's axes"
-    return Table(caption, ("Coordinate", "RMS", "Largest", "Unit"), tuple(rows))
+    return Table("", ("Coordinate", "RMS", "Largest", "Unit"), tuple(rows))
