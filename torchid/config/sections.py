@@ -114,8 +114,8 @@ class MotionOptions(ConfigSection):
     cutoff_hz: Positive | Literal["auto"] = "auto"
     """Frequency above which motion and forces are filtered out; auto: chosen from the recordings."""
     consistent: bool = False
-    """True finds for every trial whose contacts plates measure the motion that obeys them, too, once the inertia is
-    identified (docs/torques.md)."""
+    """True finds for every moving trial whose contacts plates measure the motion that obeys them, too, once the inertia
+    is identified (docs/torques.md)."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ errors of motion."""
 
 
 def with_consistent(outcome: Outcome, folder: OutputFolder) -> Outcome:
-    """Return an outcome with the motion that obeys the forces, of every trial of which frames are used.
+    """Return an outcome with the motion that obeys the forces, of every moving trial of which frames are used.
 
     Args:
         outcome: with its torques and the wrenches under its feet.
@@ -38,7 +38,8 @@ def with_consistent(outcome: Outcome, folder: OutputFolder) -> Outcome:
     if outcome.identified is None:
         said = "no motion that obeys the forces was sought: no inertia was identified"
         return replace(outcome, notes=(*outcome.notes, Note("consistent.none", said)))
-    rows = {name: one.wrench for name, one in outcome.followed.items() if one.wrench is not None}
+    still = outcome.session.role("static")
+    rows = {k: one.wrench for k, one in outcome.followed.items() if one.wrench is not None and k not in still}
     with folder.timed("consistent"):
         found = {name: folder.aside(_consistent(outcome, name)) for name, own in rows.items() if bool(own.used.any())}
     notes = [note for name, one in found.items() for note in _notes(name, one)]

@@ -175,7 +175,8 @@ class Outcome:
     torque_sd: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
     """Standard deviations of ``torque`` (``torques.draws``); none where nothing was drawn."""
     consistent: dict[str, ConsistentTrial] = field(default_factory=dict)
-    """Motion that obeys the forces (``motion.consistent``), by trial; trials without usable forces are left out."""
+    """Motion that obeys the forces (``motion.consistent``), by trial; static ones, and those without usable forces, are
+    left out."""
     under: dict[str, ContactWrenches] = field(default_factory=dict)
     """Wrenches under the feet with the identified body, by trial; trials whose feet nobody tells are left out."""
     residuals: tuple[Residual, ...] = ()
