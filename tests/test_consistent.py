@@ -15,6 +15,7 @@ from torchid.dynamics.rows import WrenchTrial, residual_rms
 from torchid.dynamics.whitening import cosine_matrix
 from torchid.effects.displacement import carriage, coordinate_levers, levers
 from torchid.effects.scene import make_scene
+from torchid.errors import ConfigError
 from torchid.filters import Smoother
 from torchid.motion import Motion
 from torchid.observation.noise_draws import displaced
@@ -301,6 +302,17 @@ def test_a_run_writes_the_motion_that_obeys_its_forces(outcome, tmp_path) -> Non
     stages = read_document(tmp_path / "out" / "provenance.json")["stages"]
     assert stages["geometry"]["reused"] and stages["inertia"]["reused"]
     assert not any((tmp_path / "out" / file.format(TRIAL)).exists() for file in CONSISTENT)
+
+
+def test_trials_that_would_write_one_file_are_refused(tmp_path) -> None:
+    """``walk_consistent_id.sto`` is what a walk writes, and what a trial called ``walk_consistent`` does."""
+    config = load_config(small.config(), [f"out={tmp_path / 'out'}", "motion.consistent=true"])
+    first, second, *_ = config.trials
+    named = (first, second.model_copy(update={"name": f"{first.name}_consistent"}))
+    with pytest.raises(ConfigError) as refused:
+        run_experiment(config.model_copy(update={"trials": named}))
+    assert refused.value.code == "config.names" and f"{first.name}_consistent_id.sto" in refused.value.found
+    assert not (tmp_path / "out" / "geometry.json").exists()
 
 
 def test_who_has_no_inertia_is_told_that_no_such_motion_was_sought(outcome, tmp_path) -> None:

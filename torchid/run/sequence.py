@@ -2,6 +2,7 @@
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
@@ -12,7 +13,7 @@ import torch
 
 from torchid.config import Config, dump_config
 from torchid.dynamics.rows import residual_rms
-from torchid.errors import DataError, Note
+from torchid.errors import ConfigError, DataError, Note
 from torchid.extension.open_geometry import with_open_geometry
 from torchid.extension.verdict import with_verdict
 from torchid.geometry.result import GeometryFit
@@ -111,9 +112,16 @@ UNKEYED = {"out": True, "threads": True, "tables": True, "bids": True, "torques"
 
 
 def _claim(folder: OutputFolder, config: Config) -> None:
-    """No work for results that have no place: InputError where a file of the user's has the name of one."""
-    names, subject = (trial.name for trial in config.trials), config.subject.name if config.bids else None
-    folder.claim(result_names(names, config.tables, subject, config.motion.consistent))
+    """No work for results that have no place: InputError where a file of the user's has the name of one, ConfigError
+    where two trials have the same."""
+    trials, subject = [trial.name for trial in config.trials], config.subject.name if config.bids else None
+    names = result_names(trials, config.tables, subject, config.motion.consistent)
+    if twice := [name for name, times in Counter(names).items() if times > 1]:
+        raise ConfigError(
+            "config.names", "two trials would write one file", source="config", found=twice[0],
+            remedy="Name the trials otherwise: one is called as a result of the other is",
+        )  # fmt: skip
+    folder.claim(names)
     if not folder.owns(CONFIGS[0]):
         folder.claim(CONFIGS[1:])
 
