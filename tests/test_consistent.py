@@ -205,6 +205,8 @@ def test_where_plates_bear_nothing_markers_decide(outcome, seen, exact, used: st
     rows = replace(rows, wrench=torch.zeros_like(rows.wrench))
     found = consistent_motion(seen.response, rows, outcome.phi)
     assert bool(found.change.isfinite().all())
+    blind = replace(seen.response, weight=torch.zeros_like(seen.response.weight))
+    assert bool(consistent_motion(blind, rows, outcome.phi).change.isfinite().all())
     generator = torch.Generator().manual_seed(small.SEED)
     assert all(float(error.abs().max()) > 0.0 for error, _ in found.draw(2, generator))
     if used == "none":

@@ -57,7 +57,7 @@ def _pose_precision(response: MarkerResponse) -> Float[Tensor, "bodies 6 6"]:
     arm = torch.linalg.cross(torch.eye(3).to(p).expand(len(p), 3, 3), p[:, None].expand(-1, 3, -1), dim=2).mT
     lever = torch.cat([torch.eye(3).to(p).expand(len(p), 3, 3), arm], 2)
     told = p.new_zeros(count, 6, 6).index_add(0, sight.body, weight[:, None, None] * lever.mT @ lever)
-    scatter = 1.0 / weight[weight > 0.0].mean()
+    scatter = (weight > 0.0).sum() / weight.sum().clamp(min=torch.finfo(weight.dtype).tiny)
     together = scatter * TOGETHER**2 * torch.tensor([1.0] * 3 + [TURN_PER_SHIFT**2] * 3).to(p).diag()
     return torch.linalg.solve(torch.eye(6).to(p) + told @ together, told)
 
