@@ -202,7 +202,8 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "trial": name, "cutoff_hz": motion.smoother.cutoff_hz, "filter": motion.smoother.kind, "units": "SI, rad",
             "parents": [body.parent for body in tree.bodies],
             "base": "q 0-2: p_WB [m]; q 3-5: rotation vector of R_WB [rad]; v, a 3-5: angular velocity and "
-            "acceleration in W; torque 0-5: residual force and moment at the root's origin, in W",
+            "acceleration in W; q_consistent_sd 3-5: of a turn in W; torque 0-5: residual force and moment at the "
+            "root's origin, in W",
         },
     )  # fmt: skip
 

@@ -28,6 +28,7 @@ from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.noise_draws import displaced
 from torchid.torque.draws import PlateErrors
 from torchid.torque.posture_errors import error_penalty, posture_precision
+from torchid.torque.seen import TOGETHER
 from torchid.torque.spline_system import TOUCHED, BandFactor, BlockBand, Knots
 
 KNOTS_PER_PERIOD = 4.0
@@ -35,8 +36,6 @@ KNOTS_PER_PERIOD = 4.0
 LEAST = 2
 """Resolution. Frames between two knots at least: splines with a knot in every frame have other derivatives than the
 course of their values."""
-TOGETHER = 8
-"""Resolution. Draws that are made at once; for memory."""
 STEPS = 12
 """Resolution. Steps of Gauss-Newton at most."""
 GAINED = 1e-3
