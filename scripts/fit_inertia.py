@@ -24,8 +24,9 @@ from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import determined
 from torchid.inertia.options import of_whitened_rows
 from torchid.run.simulation import with_recordings
-from torchid.session.following import Following, cutoff, follow, subject_prior
+from torchid.session.following import Following, cutoff, follow
 from torchid.session.opening import Session, read_session
+from torchid.session.people import subject_prior
 from torchid.session.unseen import hold_unseen
 from torchid.storage.snapshot import from_bytes, to_bytes
 

@@ -10,6 +10,8 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
+from contextlib import nullcontext
 from io import StringIO
 from pathlib import Path
 
@@ -19,7 +21,7 @@ import pytest
 from typer.testing import CliRunner
 
 from torchid.cli import app
-from torchid.cohort import task
+from torchid.cohort import cohort, task
 from torchid.cohort.cohort import missing, run_cohort
 from torchid.cohort.members import Participant, members_of
 from torchid.cohort.page import MEASURES, OUTLYING, outliers, render_cohort
@@ -161,6 +163,53 @@ def test_results_among_recordings_are_refused(tmp_path, where):
     tree(tmp_path, "a")
     with pytest.raises(ConfigError, match=r"cohort\.inside"):
         run_cohort([Participant("a", (tmp_path / "a").resolve())], tmp_path / where, RunLimits(1.0, 1.0))
+
+
+class Here:
+    """A cluster that is this process."""
+
+    dashboard_link = ""
+
+    def submit(self, work, *args, **more):
+        """What is asked, done."""
+        future = Future()
+        future.set_result(work(*args))
+        future.release = lambda: None
+        return future
+
+
+@pytest.mark.parametrize("scheme", ["alone", "clash"])
+def test_a_folder_of_several_people_is_a_subject_for_each(tmp_path, monkeypatch, scheme):
+    """Found when it is run, and known to the next call; a person who is called as another member is refused."""
+    script = tmp_path / "shared.py"
+    script.write_text(
+        "import json, os, sys\n"
+        "order = json.load(open(sys.argv[1]))\n"
+        "who = order['person'].get('name')\n"
+        "said = {'status': 'set aside', 'reason': 'several', 'code': 'folder.people', 'people': ['P', 'Q']}\n"
+        "if who or not order['source'].endswith('many'): said = {'status': 'done', 'reason': '', 'causes': [], "
+        "'verdict': 'good'}\n"
+        "os.makedirs(order['out'], exist_ok=True); open(order['out'] + '/report.html', 'w')\n"
+        "json.dump(said | {'cpu_s': 0.0}, open(order['row'], 'w'))\n"
+    )
+    monkeypatch.setattr(task, "COMMAND", (sys.executable, str(script)))
+    monkeypatch.setattr(cohort, "workers", lambda *asked: nullcontext(Here()))
+    monkeypatch.setattr(cohort, "ended", list)
+    where = tree(tmp_path / "in", "many", "one", *(["many_P"] if scheme == "clash" else []))
+    out, told = tmp_path / "out", []
+    if scheme == "clash":
+        with pytest.raises(ConfigError, match="many_p names 2"):
+            run_cohort(members_of(where), out, RunLimits(1.0, 60.0), 1)
+        return
+    for ran in (3, 0):
+        told.clear()
+        before = len(list((out / "logs").glob("*"))) if out.exists() else 0
+        rows = run_cohort(members_of(where), out, RunLimits(1.0, 60.0), 1, on_row=lambda *seen: told.append(seen))
+        assert [one["subject"] for one in rows] == ["many_P", "many_Q", "one"]
+        assert [one["status"] for one in rows] == ["done"] * 3
+        assert len(told) == 3 and told[-1][1:] == (3, 3)
+        assert (len(list((out / "logs").glob("*"))) > before) == bool(ran)
+    assert missing(members_of(where), out)[1] == []
 
 
 POISON = """

@@ -16,7 +16,7 @@ from torchid.live.estimation.pose import PostureFollower
 from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.stream import Replay
-from torchid.session.following import subject_prior
+from torchid.session.people import subject_prior
 
 
 def standing(fit: GeometryFit, seed: int) -> LiveSubject:

@@ -171,17 +171,18 @@ def cohort(
 ) -> None:
     """Many subjects, each as `torchid run` has it, one table and page of all; ends with 4 where some are set aside."""
     with _exit_codes(debug):
-        from torchid.cohort.cohort import missing, run_cohort
+        from torchid.cohort.cohort import everybody, missing, run_cohort
         from torchid.cohort.members import members_of
         from torchid.cohort.task import RunLimits
 
         members, console = members_of(who), Terminal()
         if dry_run:
-            _, left = missing(members, output.resolve())
-            for member in members:
+            rows, left = missing(members, output.resolve())
+            everyone = everybody(members, rows)
+            for member in everyone:
                 word = "run" if member in left else "done"
                 console.print(f"{word:5}{member.name}  {member.source}", highlight=False, markup=False, soft_wrap=True)
-            console.print(f"{len(left)} of {len(members)} to run", highlight=False)
+            console.print(f"{len(left)} of {len(everyone)} to run", highlight=False)
             return
         with cohort_progress() as shown:
             rows = run_cohort(members, output, RunLimits(memory, 60.0 * minutes), workers, scheduler, shown, shown.open)

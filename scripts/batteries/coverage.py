@@ -59,7 +59,7 @@ def compared(outcome: Outcome, truth: dict[str, Any]) -> dict[str, list[list[flo
     """Error and standard deviation of every value, by quantity."""
     assert outcome.identified is not None
     fit = outcome.identified.fit
-    mass, centre, main, offset = _truth(truth, fit.names)
+    mass, centre, main, offset = truth_of(truth, fit.names)
     found = {
         "mass": (fit.mass - mass, fit.sd.mass),
         "centre of mass": (fit.com - centre, fit.sd.com),
@@ -70,7 +70,7 @@ def compared(outcome: Outcome, truth: dict[str, Any]) -> dict[str, list[list[flo
     return {name: torch.stack([x[sd > 0.0] for x in (error, sd)]).tolist() for name, (error, sd) in some.items()}
 
 
-def _truth(truth: dict[str, Any], names: tuple[str, ...]) -> tuple[torch.Tensor, ...]:
+def truth_of(truth: dict[str, Any], names: tuple[str, ...]) -> tuple[torch.Tensor, ...]:
     """Masses, centres of mass, main moments of inertia and joint centres of a person."""
     if "phi" in truth:
         phi, offset = (torch.tensor([truth[key][name] for name in names]).double() for key in ("phi", "offset_m"))

@@ -1,13 +1,15 @@
 """The sequence of a cohort: who is missing is run, who fails is set aside, and table and page have everybody."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchid.cohort.cluster import ended, workers
-from torchid.cohort.members import Participant
+from torchid.cohort.members import Participant, parts_of, refuse_names
 from torchid.cohort.one_run import Row
 from torchid.cohort.page import render_cohort
+from torchid.cohort.people_section import NAME as PEOPLE
+from torchid.cohort.people_section import cohort_people, people_section
 from torchid.cohort.shared_faults import NAME as LABORATORIES
 from torchid.cohort.shared_faults import laboratories_section, laboratories_table
 from torchid.cohort.table import cohort_table
@@ -35,9 +37,28 @@ def missing(members: Sequence[Participant], out: Path) -> tuple[dict[str, Row], 
         members: all of them.
         out: folder of the cohort.
     """
-    found = {member.name: stored(member, out) for member in members}
-    rows = {name: row for name, row in found.items() if row is not None}
-    return rows, [member for member in members if member.name not in rows]
+    rows: dict[str, Row] = {}
+    left: list[Participant] = []
+    for member in members:
+        row = stored(member, out)
+        if row is None:
+            left.append(member)
+            continue
+        rows[member.name] = row
+        more, others = missing(parts_of(member, row), out)
+        rows, left = rows | more, left + others
+    return rows, left
+
+
+def everybody(members: Sequence[Participant], rows: Mapping[str, Row]) -> list[Participant]:
+    """Return the members, those of a folder that shows several people in place of that folder.
+
+    Args:
+        members: all of them.
+        rows: by subject; who has none stands for himself.
+    """
+    each = ((member, parts_of(member, rows.get(member.name, {}))) for member in members)
+    return [one for member, parts in each for one in parts or (member,)]
 
 
 def run_cohort(
@@ -60,25 +81,34 @@ def run_cohort(
         The rows, in the order of the members.
 
     Raises:
-        ConfigError: ``cohort.no_dask``, ``cohort.scheduler``; ``cohort.inside`` for results among recordings.
+        ConfigError: ``cohort.no_dask``, ``cohort.scheduler``; ``cohort.inside`` for results among recordings;
+            ``cohort.names`` where a person of a folder is called as another member.
         InputError: ``results.locked`` while another call works there, or a file cannot be written.
     """
     _refuse_inside(members, out.resolve())
     with OutputFolder(out, beside=True) as folder:
-        folder.claim([*(f"{NAME}.{ending}" for ending in ("csv", "html", *FORMS)), LABORATORIES])
+        folder.claim([*(f"{NAME}.{ending}" for ending in ("csv", "html", *FORMS)), LABORATORIES, PEOPLE])
         rows, left = missing(members, folder.out)
-        for number, row in enumerate(rows.values(), 1):
-            on_row(row, number, len(members))
+
+        def tell(some: Iterable[Row]) -> None:
+            everyone = everybody(members, rows)
+            done = sum(one.name in rows for one in everyone)
+            for row in some:
+                if not row.get("people"):
+                    on_row(row, done, len(everyone))
+
+        tell(rows.values())
         if left:
             with workers(count, scheduler) as client:
                 on_cluster(client.dashboard_link or "")
-                for row in _performed(client, left, folder.out, limits):
+                for row in _completed(client, left, folder.out, limits):
                     rows[row["subject"]] = row
-                    on_row(row, len(rows), len(members))
-        found = [rows[member.name] for member in members]
+                    tell([row])
+        refuse_names(everybody(members, rows), folder.out)
+        found = [rows[member.name] for member in everybody(members, rows)]
         write_table(cohort_table(found, folder.out), NAME, installed(FORMS), folder.path)
-        told = laboratories_table(found, folder)
-        write_text(folder.path(f"{NAME}.html"), render_cohort(found, folder.out, laboratories_section(told)))
+        told = laboratories_section(laboratories_table(found, folder)), people_section(cohort_people(found, folder))
+        write_text(folder.path(f"{NAME}.html"), render_cohort(found, folder.out, told))
     return found
 
 
@@ -91,6 +121,19 @@ def _refuse_inside(members: Sequence[Participant], out: Path) -> None:
                 "cohort.inside", "results would lie among recordings", place=member.name, found=str(own),
                 remedy="Give another folder with -o",
             )  # fmt: skip
+
+
+def _completed(
+    client: "Client", left: Sequence[Participant], out: Path, limits: RunLimits
+) -> Iterator[Row]:  # fmt: skip
+    """Rows of members, and of the people that their folders turn out to show."""
+    while left:
+        found: dict[str, Row] = {}
+        for row in _performed(client, left, out, limits):
+            found[row["subject"]] = row
+            yield row
+        rows, left = missing([part for one in left for part in parts_of(one, found[one.name])], out)
+        yield from rows.values()
 
 
 def _performed(client: "Client", members: Sequence[Participant], out: Path, limits: RunLimits) -> Iterator[Row]:

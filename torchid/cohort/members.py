@@ -3,7 +3,7 @@
 import csv
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ MOST = {"mass_kg": HEAVIEST_KG, "height_m": TALLEST_M, "age_years": OLDEST_YEARS
 """Between which a fact is somebody's."""
 BEYOND = "beyond the columns"
 """Key of what a line has more than there are columns."""
-RESERVED = ("cohort", "groups", "laboratories", "rows", "configs", "logs")
+RESERVED = ("cohort", "groups", "laboratories", "people", "rows", "configs", "logs")
 """Names of files and folders of a cohort."""
 LABELS = ("group", "session", "laboratory")
 """Columns that are taken over into the table of results."""
@@ -49,12 +49,26 @@ class Participant:
     """Group, session and laboratory, where the table has them."""
 
 
+def parts_of(member: Participant, row: Mapping[str, Any]) -> tuple[Participant, ...]:
+    """Return a member for each person whom a run has found in one folder; none where it has found one person.
+
+    Args:
+        member: whose folder it is.
+        row: what the run left.
+    """
+    people = row.get("people", ())
+    return tuple(
+        replace(member, name=f"{member.name}_{who}", person=replace(member.person, name=who)) for who in people
+    )
+
+
 def members_of(where: Path) -> tuple[Participant, ...]:
     """Return whom a table or a tree of folders names, in its order.
 
     A table has a line for every session: ``subject``, ``folder`` or ``config`` (relative to the table), and if they are
     known ``mass_kg``, ``height_m`` and other facts, ``group``, ``session``, ``laboratory``. In a tree every folder with
     recordings, or a file that holds many, is a subject, or every ``sub-*/ses-*`` a session, where there are such.
+    That a folder shows several people is found when it is run (``parts_of``).
 
     Args:
         where: a CSV, TSV or Parquet file, or a folder.
@@ -68,18 +82,31 @@ def members_of(where: Path) -> tuple[Participant, ...]:
             "cohort.absent", "no such table or folder", source=str(where), remedy="Name a CSV of subjects, or a folder"
         )
     found = tuple(_of_tree(where)) if where.is_dir() else _of_table(where)
-    faults = list(_of_names(found))
-    if faults:
-        raise ConfigError(
-            "cohort.names", "results of two cannot lie in one folder", source=str(where), found=listing(faults, 12),
-            remedy="Give each another name",
-        )  # fmt: skip
+    refuse_names(found, where)
     if not found:
         raise InputError(
             "cohort.empty", "nobody is named", source=str(where), found="no line" if where.is_file() else "no folder",
             remedy=f"Give a line for each session ({NAME},{FOLDER},...), or a folder that holds one folder of each",
         )  # fmt: skip
     return found
+
+
+def refuse_names(members: Sequence[Participant], where: Path) -> None:
+    """Refuse members whose results would lie in one place, or in the cohort's own.
+
+    Args:
+        members: all of them.
+        where: table or tree that names them.
+
+    Raises:
+        ConfigError: ``cohort.names``.
+    """
+    faults = list(_of_names(members))
+    if faults:
+        raise ConfigError(
+            "cohort.names", "results of two cannot lie in one folder", source=str(where), found=listing(faults, 12),
+            remedy="Give each another name",
+        )  # fmt: skip
 
 
 def _of_names(members: Sequence[Participant]) -> Iterator[str]:

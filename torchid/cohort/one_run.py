@@ -15,7 +15,7 @@ from typing import Any
 from torchid.cohort.members import Participant
 from torchid.config import Config, load_config
 from torchid.errors import TorchidError, said_of_defect
-from torchid.folder.proposal import propose
+from torchid.folder.proposal import SeveralPeople, propose
 from torchid.folder.statements import Person
 from torchid.folder.writing import write_config
 from torchid.io.files import container_of
@@ -59,6 +59,8 @@ def perform(order: Mapping[str, Any]) -> Row:
     try:
         config = _config(order)
         row = {"status": "done", "reason": "", **_figures(run_experiment(config), config)}
+    except SeveralPeople as error:
+        row = {"status": "set aside", "reason": str(error), "code": error.code, "people": error.people}
     except TorchidError as error:
         row = {"status": "set aside", "reason": str(error), "code": error.code}
     except Exception as error:  # one of many: the others go on, and the row says it

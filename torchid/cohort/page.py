@@ -57,15 +57,15 @@ MEASURES = (
 )
 
 
-def render_cohort(rows: Sequence[Row], out: Path, laboratories: Section | None = None) -> str:
+def render_cohort(rows: Sequence[Row], out: Path, together: Sequence[Section | None] = ()) -> str:
     """Return the page as text.
 
     Args:
         rows: of all members, in their order.
         out: folder of the cohort, from which the page links to reports.
-        laboratories: what sessions on the same plates say together.
+        together: what sessions on the same plates, and all people, say together.
     """
-    chapters = [_head(rows), _aside(rows), laboratories, _outliers(rows), _causes(rows), _subjects(rows, out)]
+    chapters = [_head(rows), _aside(rows), *together, _outliers(rows), _causes(rows), _subjects(rows, out)]
     title = f"{clean(out.name)}: {plural(len(rows), 'subject')}"
     return render_page(title, [one for one in chapters if one is not None], script=SORTER)
 

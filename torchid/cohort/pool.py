@@ -130,7 +130,7 @@ class Pool:
 
     def _evidence(self, chosen: Sequence[Candidate], scatter: Mapping[str, float]) -> float:
         """Log evidence of all sessions with the chosen faults and a scatter between sessions [nat]."""
-        information, moment, nats = _without(*self.whole, self._root(scatter))
+        information, moment, nats = without(*self.whole, self._root(scatter))
         return fit(_statistics(self.base, information, moment), chosen).log_evidence + float(nats.sum())
 
     def statistics(self, scatter: Mapping[str, float]) -> Statistics:
@@ -140,8 +140,8 @@ class Pool:
             scatter: standard deviation of each effect between sessions.
         """
         root = self._root(scatter)
-        information, moment, _ = _without(*self.whole, root)
-        less, weaker, _ = _without(*self.bare, root)
+        information, moment, _ = without(*self.whole, root)
+        less, weaker, _ = without(*self.bare, root)
         return _statistics(self.base, information, moment, (information - less, moment - weaker))
 
     def for_next(self, scatter: Mapping[str, float], since: Sequence[int]) -> LaboratoryEvidence:
@@ -154,9 +154,9 @@ class Pool:
         root, kept = self._root(scatter), torch.arange(self.base, self.whole[1].shape[1])
         found = []
         for information, moment in (self.whole, self.bare):
-            each = _without(information[since], moment[since], root)
+            each = without(information[since], moment[since], root)
             all_of_them = integrated_out(each[0].sum(0), each[1].sum(0), kept)
-            one_more = _without(all_of_them[0][None], all_of_them[1][None], root[kept])
+            one_more = without(all_of_them[0][None], all_of_them[1][None], root[kept])
             found.append((one_more[0][0], one_more[1][0]))
         (A, a), (B, b) = found
         return LaboratoryEvidence(tuple(self.at), tuple(map(len, self.at.values())), A, a, A - B, a - b)
@@ -213,10 +213,16 @@ def _statistics(
     return Statistics(base, len(every), tuple(trials))
 
 
-def _without(
+def without(
     A: Float[Tensor, "visits all all"], b: Float[Tensor, "visits all"], root: Float[Tensor, " all"]
 ) -> tuple[Float[Tensor, "visits all all"], Float[Tensor, "visits all"], Float[Tensor, " visits"]]:
-    """Information and moments with deviations integrated out, see above, and the log evidence of these [nat]."""
+    """Return information and moments with deviations integrated out, see above, and the log evidence of these [nat].
+
+    Args:
+        A: information of each session.
+        b: moment of each.
+        root: standard deviations of what is a session's own; 0 where it has none.
+    """
     some = root.nonzero()[:, 0]
     rows = root[some, None] * torch.cat([A[:, some], b[:, some, None]], 2)
     factor = torch.linalg.cholesky(torch.eye(len(some)).to(A) + rows[:, :, some] * root[some])

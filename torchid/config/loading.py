@@ -124,6 +124,7 @@ def dump_config(config: Config) -> str:
 
 def _missing_files(config: Config, source: str) -> list[ConfigError]:
     named: dict[str, Path | str | None] = {key: getattr(config, key) for key in ("model", "markers", "laboratory")}
+    named["subject.people"] = config.subject.people
     for k, trial in enumerate(config.trials):
         named |= {f"trials.{k}.{key}": getattr(trial, key) for key in ("file", "forces", "channels")}
     named |= {f"conditions.{name}.device": condition.device for name, condition in config.conditions.items()}

@@ -71,6 +71,13 @@ class Subject(ConfigSection):
     """Chooses the tables of proportions and inertia; unknown: the mean of both."""
     age_years: Annotated[float, Field(gt=0, lt=120)] | None = None
     """Changes the shares of mass for children and old people; absent: an adult's, unless the stature is a child's."""
+    people: UserPath | None = None
+    """Whom the subject is like: a cohort's `people.nc`, by which the tables of inertia are changed (docs/cohort.md)."""
+
+    @property
+    def known(self) -> tuple[float | None, float | None, float | None, str, float | None]:
+        """Height, mass and its standard deviation, sex and age, in the order of ``inertial_prior``."""
+        return self.height_m, self.mass_kg, self.mass_sd_kg, self.sex, self.age_years
 
 
 class TrialFile(ConfigSection):

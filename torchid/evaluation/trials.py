@@ -17,8 +17,9 @@ from torchid.recording import Trial
 from torchid.run.sequence import run_key
 from torchid.session import Followed, Outcome, Session
 from torchid.session.fitting import OnStage
-from torchid.session.following import Following, subject_prior
+from torchid.session.following import Following
 from torchid.session.opening import join_trials, open_trials, setup_of
+from torchid.session.people import subject_prior
 from torchid.session.standing import follow_session
 from torchid.storage.files import file_sha256
 from torchid.storage.provenance import stage_key

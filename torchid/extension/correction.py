@@ -30,7 +30,8 @@ from torchid.observation.trial import TrialObservation
 from torchid.recording import Forces, Trial
 from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.fitting import OnStage, fit_session, identify
-from torchid.session.following import Following, put_aside, subject_prior
+from torchid.session.following import Following, put_aside
+from torchid.session.people import subject_prior
 from torchid.session.plates import session_plates
 from torchid.session.standing import follow_each
 from torchid.storage.provenance import stage_key

@@ -20,7 +20,8 @@ from torchid.geometry.tracking import Tracked, track
 from torchid.recording import Trial
 from torchid.session import Outcome, Session
 from torchid.session.fitting import OnStage, fit_session, identify
-from torchid.session.following import Following, subject_prior
+from torchid.session.following import Following
+from torchid.session.people import subject_prior
 from torchid.session.standing import follow_session
 from torchid.storage.results import OutputFolder
 

@@ -17,6 +17,13 @@ from torchid.model.recognition import Recognised, recognised, unrecognised
 from torchid.wording import listing, plural
 
 
+class SeveralPeople(InputError):
+    """A folder shows several people, and none is named."""
+
+    people: tuple[str, ...] = ()
+    """Names that choose one each; none where one was named that is not there."""
+
+
 @dataclass(frozen=True)
 class Proposal:
     """What a config is made of, with the reasons."""
@@ -49,8 +56,8 @@ def propose(
         progress: gets the stage and the part of it that is done.
 
     Raises:
-        InputError: ``folder.absent``; ``check.empty`` without recordings, ``folder.unread`` where none can be used;
-            ``folder.people`` where several people are shown and none, or another one, is named.
+        InputError: ``folder.absent``; ``check.empty`` without recordings, ``folder.unread`` where none can be used.
+        SeveralPeople: ``folder.people`` where several people are shown and none, or another one, is named.
         ConfigError: ``markers.unrecognised``.
         DataError: ``folder.no_motion`` where nothing can be fitted.
     """
@@ -132,11 +139,13 @@ def _of_person(found: tuple[Surveyed, ...], folder: Path, name: str | None) -> t
     if name in people:
         return tuple(people[name])
     each = [f"{who} ({plural(len(some), 'recording')})" for who, some in people.items()]
-    raise InputError(
+    error = SeveralPeople(
         "folder.people", "the recordings are of several people" if name is None else "nobody here is called so",
         source=str(folder), place="" if name is None else f"subject {name}", found=listing(each, 12),
         remedy=f"Name one of them with --subject {next(iter(people))!r}",
     )  # fmt: skip
+    error.people = () if name else tuple(people)
+    raise error
 
 
 def _facts(

@@ -25,9 +25,10 @@ from torchid.model.model import InertialPrior
 from torchid.run.sequence import GEOMETRY, UNKEYED, run_key
 from torchid.session import Outcome, Session
 from torchid.session.fitting import fit_session, given_mass
-from torchid.session.following import Following, subject_prior
+from torchid.session.following import Following
 from torchid.session.opening import open_as_recorded, read_session, setup_of
 from torchid.session.other_contacts import refuse_plates
+from torchid.session.people import subject_prior
 from torchid.session.standing import follow_each, standing_weight
 from torchid.session.tables import identified_table
 from torchid.session.unseen import refuse_unseen

@@ -11,6 +11,7 @@ published tables stand apart for the same segment, which bounds what a table can
 """
 
 import math
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -21,11 +22,8 @@ from torchid.errors import ConfigError
 from torchid.model.build import BMI, BMI_SD, Build, build_of
 from torchid.model.de_leva import Segment, segments
 from torchid.model.model import Geometry, InertialPrior
+from torchid.model.people import LATENT, PARTS, People
 from torchid.model.proportions import stature
-from torchid.model.skeleton import SEGMENTS
-
-LATENT = 10
-"""Unknowns per segment: log mass, centre (3), log extents (3), normalised products of inertia (3)."""
 
 MASS_SD = {"head": 0.10, "thorax": 0.12, "abdomen": 0.18, "pelvis": 0.18, "upper_arm": 0.12, "forearm": 0.10,
            "hand": 0.15, "thigh": 0.12, "shank": 0.10, "foot": 0.14}  # fmt: skip
@@ -44,13 +42,32 @@ SCALE_SD = 0.02
 CUT_SD = 0.035
 """Choice. Of the heights at which pelvis, abdomen and thorax are cut, for a stature of 1.74 m [m]: at the omphalion or
 at the joint L5/S1, at the xiphoid, T12/L1 or T8, as tables have it. What one part loses is the other's."""
-PARTS = tuple(name[:-2] if name[-2:] in ("_l", "_r") else name for name in SEGMENTS)
-"""Segments without their side."""
+
+
+@dataclass(frozen=True)
+class Tables:
+    """What tables say of a person: latents, and what one standard deviation of each score changes of them."""
+
+    latent: Float[Tensor, " latents"]
+    """``LATENT`` of each segment, the log scale, the total mass [kg]."""
+    ways: Float[Tensor, "latents scores"]
+    """Change of the latents by each score: of ``latent`` itself, then of the two cuts of the trunk."""
+
+    def at(self, score: Float[Tensor, " scores"]) -> tuple[Float[Tensor, " params"], Float[Tensor, "params scores"]]:
+        """Return the parameters of a person of given scores, and their derivative by the scores.
+
+        Args:
+            score: standard deviations away from the tables.
+        """
+        latent = self.latent + self.ways @ score
+        jacobian = torch.autograd.functional.jacobian(_decode, latent)
+        assert isinstance(jacobian, Tensor)
+        return _decode(latent), jacobian @ self.ways
 
 
 def inertial_prior(
     geometry: Geometry, height: float | None, mass: float | None, mass_sd: float | None, sex: str,
-    age: float | None = None,
+    age: float | None = None, people: People | None = None,
 ) -> InertialPrior:  # fmt: skip
     """Prior of the whole body's inertia for given joint centres; geometry may be the template's or identified.
 
@@ -64,9 +81,28 @@ def inertial_prior(
         mass_sd: [kg], None for 1 percent of a given mass.
         sex: unknown takes the mean of both tables and adds half their difference to the scatter.
         age: [years], None where it is not known.
+        people: how people like this one differ from the tables; None: as the tables have it.
 
     Raises:
         ConfigError: height, mass or age is no person's, or ``mass_sd`` is not positive.
+    """
+    tables = tables_of(geometry, height, mass, mass_sd, sex, age)
+    mean, way = tables.at(tables.ways.new_zeros(tables.ways.shape[1]) if people is None else people.score)
+    covariance = way @ way.T if people is None else way @ people.covariance @ way.T
+    return InertialPrior(mean=mean.reshape(-1, 10), covariance=covariance)
+
+
+def tables_of(
+    geometry: Geometry, height: float | None, mass: float | None, mass_sd: float | None, sex: str,
+    age: float | None = None,
+) -> Tables:  # fmt: skip
+    """Return what tables say of a person.
+
+    Args:
+        geometry, height, mass, mass_sd, sex, age: as for ``inertial_prior``.
+
+    Raises:
+        ConfigError: as for ``inertial_prior``.
     """
     tall, _ = stature(height, sex, age)
     build = build_of(height, mass, age)
@@ -79,11 +115,8 @@ def inertial_prior(
     centre = _built(centre, build)
     latent = torch.cat([centre.flatten(), centre.new_tensor([0.0, total])])
     sd = torch.cat([scatter.flatten(), scatter.new_tensor([SCALE_SD, total_sd])])
-    jacobian = torch.autograd.functional.jacobian(_decode, latent)
-    assert isinstance(jacobian, Tensor)
-    cuts = torch.stack([_cuts(geometry, tall, own) for own in sexes]).mean(0)
-    half = torch.cat([jacobian * sd, jacobian[:, : centre.numel()] @ cuts.to(jacobian).flatten(1).T], 1)
-    return InertialPrior(mean=_decode(latent).reshape(-1, 10), covariance=half @ half.T)
+    cuts = torch.stack([_cuts(geometry, tall, own) for own in sexes]).mean(0).to(latent).flatten(1)
+    return Tables(latent, torch.cat([torch.diag(sd), torch.nn.functional.pad(cuts, (0, 2)).T], 1))
 
 
 def body_mass(

@@ -163,7 +163,7 @@ def _paint_masses(axes: Axes, outcome: Outcome) -> None:
     fit = outcome.identified.fit
     rows = np.arange(len(fit.names))
     prior_sd = torch.diagonal(outcome.prior.covariance).sqrt().reshape(-1, 10)[:, 0]
-    prior = {"fmt": "+", "color": SCALED, "elinewidth": 1.0, "capsize": 2, "markersize": 6, "label": "prior (table)"}
+    prior = {"fmt": "+", "color": SCALED, "elinewidth": 1.0, "capsize": 2, "markersize": 6, "label": "prior"}
     found = {"fmt": "o", "color": IDENTIFIED, "elinewidth": 1.4, "capsize": 2, "markersize": 4, "label": "identified"}
     axes.errorbar(outcome.prior.mean[:, 0], rows + 0.17, xerr=prior_sd, **prior)
     axes.errorbar(fit.mass, rows - 0.17, xerr=fit.sd.mass, **found)

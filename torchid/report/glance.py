@@ -10,7 +10,8 @@ from torchid.report.recording_faults import WRONG, Fault, recording_faults
 from torchid.session import Outcome
 from torchid.session.judging import Mass, Masses, masses
 from torchid.session.outcome import ORDER, Quality, QualityLevel
-from torchid.wording import change, listing, number, plural, spread
+from torchid.session.person import UNLIKE, USED
+from torchid.wording import change, clean, listing, number, plural, spread
 
 SIDES = {
     "Mass": ("mass_standing", "mass_recorded"),
@@ -62,9 +63,13 @@ def _side(about: str, outcome: Outcome, quality: Quality) -> Light | None:
 
 
 def _tables(outcome: Outcome) -> Iterator[Light]:
-    """For whom the tables of adults were changed, where they were."""
+    """For whom the tables of adults were changed, and by which people, where they were."""
     if outcome.fit.model.build:
         yield Light("Tables", None, f"Of adults, {listing(outcome.fit.model.build)}.")
+    for note in outcome.notes:
+        if note.code in (USED, UNLIKE):
+            level = QualityLevel.CARE if note.code == UNLIKE else None
+            yield Light("Tables", level, _sentence(clean(note.message, 300)))
 
 
 def _fit(quality: Quality) -> Iterator[Light]:

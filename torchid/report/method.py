@@ -97,11 +97,13 @@ def _inertia(outcome: Outcome) -> Table:
         ("Data", f"{rows} whitened rows from {plural(len(outcome.session.fit('inertia')), 'fit trial')}"),
         ("Weight of the data, omega_1", scientific(fit.omega_1)),
         ("Weight of the prior, omega_2", f"{scientific(fit.omega_2)} (chosen: {asked.prior_weight})"),
+        ("Prior", "tables" if outcome.config.subject.people is None else f"tables as people of a cohort changed them "
+                  f"({clean(str(outcome.config.subject.people), 200)})"),
         ("Rank", f"{fit.rank} of {fit.phi.numel()} parameters"),
         ("Base parameters", "not worked out" if fit.base is None else str(len(fit.base.names))),
         ("Physical consistency", "every segment's pseudo-inertia positive definite" if config.lmi else "not enforced"),
         ("Log evidence", f"{number(fit.log_evidence)} nat"),
-    ]
+    ]  # fmt: skip
     return Table("Inertia", ("", ""), tuple(found), text=2, wrap=True)
 
 

@@ -31,11 +31,13 @@ from torchid.scene.embedded import EmbeddedPage
 from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.contact_wrenches import sharing_notes, wrenches_under
 from torchid.session.fitting import OnStage, fit_session, identify
-from torchid.session.following import Following, cutoff, follow, subject_prior, torques
+from torchid.session.following import Following, cutoff, follow, torques
 from torchid.session.judging import judges, quality_of
 from torchid.session.laboratory import earlier_sessions
 from torchid.session.opening import open_session, read_each, setup_of
 from torchid.session.other_contacts import refuse_unknown_plates
+from torchid.session.people import people_of, subject_prior
+from torchid.session.person import people_notes
 from torchid.session.standing import follow_session
 from torchid.storage.files import file_sha256, write_json, write_text
 from torchid.storage.provenance import provenance, stage_key
@@ -74,6 +76,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
             others = read_each(setup, [file for file in listed if file.name not in known])
             refuse_unknown_plates(config.contact, chain(session.trials.values(), others))
             earlier_sessions(config.laboratory, session)  # refused before hours of work
+            people_of(config.model, config.subject)
         progress("read", 1.0)
         outcome, failure = compute_outcome(config, session, folder, progress)
         failure = failure or impossible(outcome)
@@ -130,7 +133,9 @@ def inputs(config: Config) -> list[Path]:
     """Return every file on which a run of a config depends, itself apart."""
     files = [path for trial in config.trials for path in (trial.file, trial.forces) if path is not None]
     return list(dict.fromkeys(chain.from_iterable(map(files_on_disk, files)))) + [
-        path for path in (config.model, config.markers, config.laboratory) if isinstance(path, Path)
+        path
+        for path in (config.model, config.markers, config.laboratory, config.subject.people)
+        if isinstance(path, Path)
     ]
 
 
@@ -177,6 +182,7 @@ def compute_outcome(
         outcome = with_verdict(outcome, folder, key, progress)
     with folder.timed("deviations"):
         outcome = with_open_geometry(outcome, folder.room)
+        outcome = replace(outcome, notes=(*outcome.notes, *people_notes(outcome)))
     return _with_forces(outcome, folder), None
 
 

@@ -31,6 +31,8 @@ from torchid.session import Followed, Outcome
 from torchid.session.joint_cycles import joint_cycles
 from torchid.session.laboratory import NAME as LABORATORY
 from torchid.session.laboratory import SessionEvidence, laboratory_dataset, laboratory_plate
+from torchid.session.person import NAME as PERSON
+from torchid.session.person import person_dataset, person_evidence
 from torchid.session.tables import diagnosis_table, geometry_table, inertia_table
 from torchid.storage.files import safe_name, write_json
 from torchid.storage.netcdf import write_netcdf
@@ -42,7 +44,7 @@ PIECE = 8192
 """Frames of a motion file that are put together at a time."""
 TABLES = (
     "geometry.json", "inertia.json", "diagnosis.json", "model.urdf", "model.osim", "report.html", "provenance.json",
-    LABORATORY,
+    LABORATORY, PERSON,
 )  # fmt: skip
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
 """Names of a wrench's components in files."""
@@ -86,6 +88,8 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
     if found is not None and found.laboratory is not None:
         kept = SessionEvidence(found.laboratory, tuple(map(laboratory_plate, found.plates)))
         write_netcdf(folder.path(LABORATORY), [laboratory_dataset(kept)])
+    if (person := person_evidence(outcome)) is not None:
+        write_netcdf(folder.path(PERSON), [person_dataset(person)])
     forms = outcome.config.tables
     write_table(results_table(outcome, tables, strides), "results", forms, folder.path)
     if strides is not None:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.config.sections import ModelSource, MotionOptions, Subject
+from torchid.config.sections import MotionOptions
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.options import ContactOptions
 from torchid.contact.sharing.records import ContactWrenches, WrenchSource
@@ -19,8 +19,7 @@ from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
-from torchid.model.anthropometry import inertial_prior
-from torchid.model.model import Geometry, InertialPrior
+from torchid.model.model import Geometry
 from torchid.model.tree import Tree
 from torchid.motion import Motion, choose_cutoff, smooth_motion
 from torchid.motion.impossible_rates import frames_of, impossible_steps
@@ -148,13 +147,6 @@ def soles(fit: GeometryFit, tracked: Tracked) -> dict[str, Float[Tensor, "frames
 def _outline(p_BM_B: Float[Tensor, "4 3"]) -> Float[Tensor, "5 3"]:
     """Points of a sole, the tip of the toes after those of ``SOLE``."""
     return torch.cat([p_BM_B, p_BM_B[:1] + TIP * (p_BM_B[-1:] - p_BM_B[:1])])
-
-
-def subject_prior(model: ModelSource, who: Subject, fit: GeometryFit) -> InertialPrior:
-    """Inertial prior for the fit's segment lengths; a model from a file brings its own."""
-    if model != "whole_body":
-        return fit.model.inertia
-    return inertial_prior(fit.geometry, who.height_m, who.mass_kg, who.mass_sd_kg, who.sex, who.age_years)
 
 
 def torques(

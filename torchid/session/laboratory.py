@@ -25,6 +25,7 @@ from torchid.errors import InputError
 from torchid.observation.plate_registry import SAME_CORNERS, SAME_PRESSURE, SessionPlate
 from torchid.session.plates import session_plates
 from torchid.session.session import Session
+from torchid.storage.netcdf import read_netcdf
 from torchid.wording import listing
 
 NAME = "laboratory.nc"
@@ -153,17 +154,8 @@ def read_laboratory(path: Path) -> SessionEvidence:
         InputError: ``laboratory.unreadable``, or ``laboratory.form`` where another version of torchid wrote it or not
             all of it is there.
     """
-    try:
-        with xarray.open_dataset(path, engine="h5netcdf") as file:
-            found = file.load()
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            "laboratory.unreadable",
-            "this is no file of a laboratory",
-            source=path,
-            found=str(error)[:80],
-            remedy="Run the session again, or the cohort",
-        ) from None
+    remedy = "Run the session again, or the cohort"
+    found = read_netcdf(path, "laboratory.unreadable", "file of a laboratory", remedy)
     with suppress(KeyError, ValueError, TypeError):
         if int(found.attrs["form"]) == FORM:
             evidence = _evidence(found)
@@ -173,9 +165,8 @@ def read_laboratory(path: Path) -> SessionEvidence:
             ):
                 return SessionEvidence(evidence, tuple(_plates(found)), bool(found.attrs.get("pooled", 0)))
     raise InputError(
-        "laboratory.form", "another version of torchid wrote this file, or it is damaged", source=path,
-        remedy="Run the session again, or the cohort",
-    )  # fmt: skip
+        "laboratory.form", "another version of torchid wrote this file, or it is damaged", source=path, remedy=remedy
+    )
 
 
 def earlier_sessions(path: Path | None, session: Session) -> LaboratoryEvidence | None:

@@ -8,6 +8,7 @@ from typing import Any
 import h5netcdf
 import xarray
 
+from torchid.errors import InputError
 from torchid.storage.files import NewFile, atomic_path
 
 CHUNK = 1024
@@ -31,6 +32,25 @@ def write_netcdf(path: str | Path, pieces: Iterable[xarray.Dataset]) -> None:
             else:
                 _append(file, piece)
             file.complain()
+
+
+def read_netcdf(path: Path, code: str, what: str, remedy: str) -> xarray.Dataset:
+    """Return all of a netCDF file.
+
+    Args:
+        path: of the file.
+        code: of the error where it cannot be read.
+        what: it should be, in words.
+        remedy: what to do where it is not.
+
+    Raises:
+        InputError: of that code.
+    """
+    try:
+        with xarray.open_dataset(path, engine="h5netcdf") as file:
+            return file.load()
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(code, f"this is no {what}", source=path, found=str(error)[:80], remedy=remedy) from None
 
 
 class _Lenient(NewFile):

@@ -16,7 +16,7 @@ from torchid.inertia.identify import Identified
 from torchid.live.estimation.identifier import Identifier, LiveSubject
 from torchid.live.estimation.pose import PostureFollower, Postures
 from torchid.recording import Markers, Plate
-from torchid.session.following import subject_prior
+from torchid.session.people import subject_prior
 
 log = logging.getLogger(__name__)
 FIRST_S, LAST_S = 5.0, 180.0
