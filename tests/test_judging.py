@@ -6,8 +6,10 @@ import pytest
 import torch
 from report_run import TRIAL, Run, figure, finished_run
 
-from torchid.session.judging import quality_of
+from torchid.report.glance import mass_words
+from torchid.session.judging import masses, quality_of
 from torchid.session.outcome import Quality, QualityLevel
+from torchid.session.people import subject_prior
 
 
 @pytest.fixture(scope="session")
@@ -50,3 +52,26 @@ def test_a_better_prediction_than_with_tables_is_called_better(run):
     shown = {one.name: one.words for one in quality.criteria}
     assert "% better than with a scaled model and masses of tables (norm 8 % worse" in shown["force_template"]
     assert shown["moment_template"].startswith("held-out moments are predicted ")
+
+
+def test_a_mass_that_nothing_bears_out_is_held_against_tables(run):
+    """Without a record and without standing: what is nobody's of that stature is said, with what tells it."""
+    who = run.outcome.config.subject.model_copy(update={"mass_kg": None, "height_m": 1.75})
+    session = replace(
+        run.outcome.session,
+        trials={name: trial for name, trial in run.outcome.session.trials.items() if trial.role != "static"},
+    )
+    bare = replace(run.outcome, config=run.outcome.config.model_copy(update={"subject": who}), session=session)
+    bare = replace(bare, followed={name: bare.followed[name] for name in session.trials})
+    bare = replace(bare, prior=subject_prior("whole_body", who, bare.fit))
+    own = masses(bare)
+    assert own.tables is not None and own.tables.value == pytest.approx(23.0 * 1.75**2) and own.tables.sd > 10.0
+    assert masses(run.outcome).tables is None
+    (usual,) = [one for one in quality_of(bare).criteria if one.name == "mass_tables"]
+    assert usual.level is QualityLevel.GOOD
+    identified = bare.identified
+    assert identified is not None and own.identified is not None
+    third = replace(identified, fit=replace(identified.fit, phi=0.35 * identified.fit.phi))
+    (light,) = [c for c in quality_of(replace(bare, identified=third)).criteria if c.name == "mass_tables"]
+    assert light.level is QualityLevel.CARE and "height and age" in light.remedy
+    assert "tables have 70 ± 12 kg" in mass_words(masses(replace(bare, identified=third)), True)

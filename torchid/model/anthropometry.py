@@ -45,7 +45,7 @@ at the joint L5/S1, at the xiphoid, T12/L1 or T8, as tables have it. What one pa
 
 
 @dataclass(frozen=True)
-class Tables:
+class Tabulated:
     """What tables say of a person: latents, and what one standard deviation of each score changes of them."""
 
     latent: Float[Tensor, " latents"]
@@ -95,7 +95,7 @@ def inertial_prior(
 def tables_of(
     geometry: Geometry, height: float | None, mass: float | None, mass_sd: float | None, sex: str,
     age: float | None = None,
-) -> Tables:  # fmt: skip
+) -> Tabulated:  # fmt: skip
     """Return what tables say of a person.
 
     Args:
@@ -116,7 +116,7 @@ def tables_of(
     latent = torch.cat([centre.flatten(), centre.new_tensor([0.0, total])])
     sd = torch.cat([scatter.flatten(), scatter.new_tensor([SCALE_SD, total_sd])])
     cuts = torch.stack([_cuts(geometry, tall, own) for own in sexes]).mean(0).to(latent).flatten(1)
-    return Tables(latent, torch.cat([torch.diag(sd), torch.nn.functional.pad(cuts, (0, 2)).T], 1))
+    return Tabulated(latent, torch.cat([torch.diag(sd), torch.nn.functional.pad(cuts, (0, 2)).T], 1))
 
 
 def body_mass(

@@ -8,13 +8,13 @@ from torchid.report.blocks import Light
 from torchid.report.read_as import read_as
 from torchid.report.recording_faults import WRONG, Fault, recording_faults
 from torchid.session import Outcome
-from torchid.session.judging import Mass, Masses, masses
+from torchid.session.judging import FAR_SD, Mass, Masses, masses
 from torchid.session.outcome import ORDER, Quality, QualityLevel
 from torchid.session.person import UNLIKE, USED
 from torchid.wording import change, clean, listing, number, plural, spread
 
 SIDES = {
-    "Mass": ("mass_standing", "mass_recorded"),
+    "Mass": ("mass_standing", "mass_recorded", "mass_tables"),
     "Markers": ("markers", "marker_max"),
     "Forces": ("force", "moment", "force_template", "moment_template"),
     "Segments": ("unseen", "symmetry", "segment_mass"),
@@ -172,6 +172,8 @@ def mass_words(said: Masses, usable: bool) -> str:
             words.append(f"{spread(other.value, other.sd)} kg {how}{away}")
     if said.recorded is None:
         words.append("not recorded")
+    if said.tables is not None and found is not None and abs(found.apart(said.tables)) > FAR_SD:
+        words.append(f"tables have {spread(said.tables.value, said.tables.sd, 0)} kg ({_sds(found, said.tables)})")
     if said.identified is None:
         words.append("nothing was identified: masses are those of tables")
     elif found is None:

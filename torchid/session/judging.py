@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from torchid.conventions import Inertial
 from torchid.dynamics.rows import WrenchTrial, residual_rms
 from torchid.errors import DataError
 from torchid.inertia.certificate import InertiaStatus
@@ -40,10 +41,13 @@ class Masses:
     standing: Mass | None
     trials: tuple[str, ...] = ()
     """Static trials in which the subject stands on plates."""
+    tables: Mass | None = None
+    """What people of such a stature and age weigh, where neither a record nor standing tells the mass."""
 
 
 def masses(outcome: Outcome) -> Masses:
-    """The subject's mass as recorded, as static trials read it, and as it was identified."""
+    """The subject's mass as recorded, as static trials read it, and as it was identified; without the first two, as
+    tables have it."""
     who, found = outcome.config.subject, outcome.identified
     recorded = standing = None
     if who.mass_kg:
@@ -53,7 +57,18 @@ def masses(outcome: Outcome) -> Masses:
     if weight is not None:
         standing = Mass(weight.mass, weight.sd)
     identified = None if found is None else Mass(float(found.fit.mass.sum()), float(found.fit.sd.total_mass))
-    return Masses(identified, recorded, standing, () if weight is None else weight.trials)
+    return Masses(
+        identified, recorded, standing, () if weight is None else weight.trials,
+        _of_tables(outcome) if recorded is None and standing is None else None,
+    )  # fmt: skip
+
+
+def _of_tables(outcome: Outcome) -> Mass | None:
+    """What the prior has for the mass; a model from a file has none of its own person."""
+    if outcome.config.model != "whole_body":
+        return None
+    mass, step = outcome.prior.mean[:, 0], len(Inertial)
+    return Mass(float(mass.sum()), math.sqrt(float(outcome.prior.covariance[::step, ::step].sum())))
 
 
 @dataclass(frozen=True)
@@ -104,6 +119,7 @@ REMEDIES = {
     "marker_max": "See under “Skeleton and markers” which one: its label may be exchanged for some frames",
     "mass_standing": "Check the plates' zeros and gains: they disagree between standing and moving, "
     "or something was carried in one of them",
+    "mass_tables": "Give `subject.mass_kg`, or height and age: nothing on record and no standing bears this mass out",
     "mass_recorded": "Weigh the subject again, in the clothes and shoes of the recordings, or check the plates' gains",
     "symmetry": "Record motion of both sides on the plates, such as squats and arm swings",
     "segment_mass": "Such a mass is an error of motion or plates more often than the person: compare with other trials",
@@ -239,6 +255,7 @@ def _masses(outcome: Outcome) -> list[Criterion]:
     others = (
         ("mass_standing", said.standing, f"standing in {', '.join(map(clean, said.trials))}"),
         ("mass_recorded", said.recorded, "on record"),
+        ("mass_tables", said.tables, "by tables of stature and age"),
     )
     return [_mass(name, said.identified, other, words) for name, other, words in others if other is not None]
 
