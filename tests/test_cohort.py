@@ -292,8 +292,10 @@ def test_table_and_page_have_everybody_and_obey_nobody(tmp_path, seed):
     assert read[3]["report"] == "S3/report.html" and read[-1]["mass_kg"] == "" and read[-1]["reason"] == BAIT
     alike = [row(f"S{k}") for k in range(30)]
     assert not list(outliers(alike)) and len(MEASURES) == 4 and OUTLYING > 3.0
-    many = [row(f"S{k:04d}", causes=["plate_gain plate_1"] * rng.randrange(2)) for k in range(1000)]
-    assert len(render_cohort(many, tmp_path)) < 10_000_000
+    outline = {"sticks": [[rng.randrange(-90, 90) for _ in range(4)] for _ in range(20)], "arrows": [[0, 0, 5, -80]]}
+    many = [row(f"S{k:04d}", causes=["plate_gain plate_1"] * rng.randrange(2), outline=outline) for k in range(1000)]
+    page = render_cohort(many, tmp_path)
+    assert len(page) < 10_000_000 and page.count("<svg") == 1000 and "M0,0L5,-80" in page
 
 
 @pytest.mark.slow

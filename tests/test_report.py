@@ -18,7 +18,7 @@ from torchid.diagnosis.verdict.records import Diagnosis, NearestEffect, Refuted,
 from torchid.dynamics.rows import residual_rms
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.recommendations import tell_apart
-from torchid.errors import DataError
+from torchid.errors import DataError, Note
 from torchid.model_free.testimony import CheckAnswer
 from torchid.report.before_after import draw_curves, sides, spectrum
 from torchid.report.blocks import Details, Figure, Items, Paragraph, Table
@@ -32,7 +32,7 @@ from torchid.report.forces import Score, _draw_trial, instructive
 from torchid.report.glance import LOOK, NOTHING, SIDES, glance, next_step
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
-from torchid.report.picture import LEAST, person_picture, shown_frame
+from torchid.report.picture import LEAST, person_outline, person_picture, shown_frame
 from torchid.report.summary import head_section
 from torchid.report.witness_table import witness_table
 from torchid.scene.embedded import OPENER
@@ -41,6 +41,7 @@ from torchid.scene.replay import replay
 from torchid.session import Outcome
 from torchid.session.judging import quality_of
 from torchid.session.outcome import ORDER, Quality, QualityLevel
+from torchid.session.person import UNLIKE, USED
 from torchid.wording import bind, change, clean, listing, merge, number, pattern, segment, spread
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "path", "use"}
@@ -303,6 +304,10 @@ def test_one_look_tells_for_whom_tables_were_changed(run):
     child = {one.about: one for one in glance(replace(run.outcome, fit=fit), quality_of(run.outcome))}
     assert child["Tables"].text == "Of adults, shifted and wider for a child." and child["Tables"].level is None
     assert "Tables" not in {one.about for one in glance(run.outcome, quality_of(run.outcome))}
+    for code, level in ((USED, None), (UNLIKE, QualityLevel.CARE)):
+        noted = replace(run.outcome, notes=(*run.outcome.notes, Note(code, "inertia begins from others", "a.nc")))
+        shown = {one.about: one for one in glance(noted, quality_of(run.outcome))}
+        assert shown["Tables"].text == "Inertia begins from others." and shown["Tables"].level is level
 
 
 def test_the_picture_shows_the_person_on_the_plates(run):
@@ -313,6 +318,10 @@ def test_the_picture_shows_the_person_on_the_plates(run):
     stood = int((forces.wrench[frame, :, 2] > LEAST * body_weight(run.outcome)).sum())
     assert stood and svg.count("#8f1d14") >= stood and "forces of the plates" in caption
     assert svg.count("#0b5394") >= len(run.outcome.fit.model.tree.bodies) - 1
+    outline = person_outline(run.outcome)
+    assert len(outline["arrows"]) == stood and len(outline["sticks"]) >= len(run.outcome.fit.model.tree.bodies) - 1
+    lowest, highest = (limit(y for _, a, _, b in outline["sticks"] for y in (a, b)) for limit in (max, min))
+    assert 100 < lowest - highest < 200 and all(isinstance(x, int) for one in outline["sticks"] for x in one)
 
 
 def test_notes_that_say_the_same_are_one_line(run):

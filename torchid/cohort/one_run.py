@@ -20,6 +20,7 @@ from torchid.folder.statements import Person
 from torchid.folder.writing import write_config
 from torchid.io.files import container_of
 from torchid.report.cause_sentences import called
+from torchid.report.picture import person_outline
 from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.session.tables import heldout_errors, identified_table, rms
@@ -94,6 +95,7 @@ def _figures(outcome: Outcome, config: Config) -> Row:
         "heldout_force_N": forces["force_rmse_N"],
         "heldout_moment_Nm": forces["moment_rmse_Nm"],
         "causes": [called(one) for one in causes],
+        "outline": person_outline(outcome),
     }
 
 

@@ -13,7 +13,9 @@ from torchid.cohort.members import LABELS
 from torchid.cohort.one_run import Row
 from torchid.cohort.table import COLUMNS, cells
 from torchid.report.blocks import Block, Details, Items, Paragraph, Section, Table
+from torchid.report.figure import IDENTIFIED
 from torchid.report.page import render_page
+from torchid.report.picture import FORCE
 from torchid.session.outcome import QualityLevel
 from torchid.wording import ABSENT, clean, listing, number, plural
 
@@ -26,6 +28,8 @@ FEWEST = 5
 """Subjects from which on somebody can stand out among them; chosen."""
 RECURS = 2
 """Subjects from which on a cause recurs; derived: one is no other."""
+VIEW_CM = (110, 190, 30)
+"""Choice. What a thumbnail shows: its width, and how far above and below the floor under the pelvis [cm]."""
 SORTER = (
     'for(const table of document.querySelectorAll("#subjects table"))table.querySelectorAll("thead th").forEach('
     '(head,k)=>{head.tabIndex=0;head.style.cursor="pointer";const sort=()=>{'
@@ -182,8 +186,8 @@ def _laboratories(rows: Sequence[Row]) -> str:
 
 def _subjects(rows: Sequence[Row], out: Path) -> Section:
     used = [name for name in LABELS if any(row.get(name) for row in rows)]
-    head = ("Subject", *used, "Verdict", "Causes", "mass [kg]", *(m.head for m in MEASURES))
-    table = Table("A click on a head sorts.", head, tuple(_line(row, used, out) for row in rows), text=3 + len(used))
+    head = ("Subject", "", *used, "Verdict", "Causes", "mass [kg]", *(m.head for m in MEASURES))
+    table = Table("A click on a head sorts.", head, tuple(_line(row, used, out) for row in rows), text=4 + len(used))
     meaning = Details("Columns of cohort.csv", (Table("", ("Column", "Meaning"), tuple(map(tuple, COLUMNS)), 2, True),))
     return Section("subjects", "Subjects", "Each with its report.", (table, meaning))
 
@@ -196,4 +200,21 @@ def _line(row: Row, used: Sequence[str], out: Path) -> tuple[str, ...]:
     verdict = row.get("verdict") or row["status"]
     mass = number(figure_of(row, "mass_kg"), 2)
     causes = clean(listing(list(row.get("causes", ())), 2), 90)
-    return (link, *(clean(row.get(one, "")) for one in used), verdict, causes, mass, *figures)
+    return (link, _thumbnail(row), *(clean(row.get(one, "")) for one in used), verdict, causes, mass, *figures)
+
+
+def _thumbnail(row: Row) -> str:
+    """The identified body in one frame of the recordings, with the forces of the plates; empty where there is none."""
+    outline = row.get("outline") or {}
+    paths = [
+        Markup('<path d="{}" stroke="{}"/>').format("".join(f"M{a},{b}L{c},{d}" for a, b, c, d in lines), colour)
+        for lines, colour in ((outline.get("sticks", ()), IDENTIFIED), (outline.get("arrows", ()), FORCE))
+        if lines
+    ]
+    if not paths:
+        return ""
+    width, top, bottom = VIEW_CM
+    return Markup(
+        '<svg viewBox="{} {} {} {}" width="36" height="72" fill="none" stroke-width="7" stroke-linecap="round" '
+        'role="img" aria-label="the identified body">{}</svg>'
+    ).format(-width // 2, -top, width, top + bottom, Markup("").join(paths))

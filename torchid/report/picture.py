@@ -20,7 +20,9 @@ from torchid.wording import clean
 
 TURN, TILT = math.radians(35.0), math.radians(15.0)
 """Choice. Camera to the left of the front, and above it."""
-ARROW = {"arrowstyle": "-|>", "color": "#8f1d14", "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
+FORCE = "#8f1d14"
+"""Colour of forces."""
+ARROW = {"arrowstyle": "-|>", "color": FORCE, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
 """Dark red, as in the motion in three dimensions."""
 ARROW_M = 0.9
 """Choice. Length of an arrow as long as the body's weight [m]."""
@@ -46,8 +48,26 @@ class Camera:
         return torch.stack([right, up * math.cos(TILT) - near * math.sin(TILT)], dim=-1)
 
 
-def person_picture(outcome: Outcome) -> tuple[Markup, str]:
-    """Return the picture and what it shows.
+@dataclass(frozen=True)
+class Sight:
+    """What the camera sees of one frame, to the right and up [m]."""
+
+    trial: str
+    """Name of the trial."""
+    time: float
+    """Of the frame [s]."""
+    sticks: tuple[Float[Tensor, "2 2"], ...]
+    """Of the body."""
+    markers: Float[Tensor, "markers 2"]
+    """NaN where they are not seen."""
+    plates: tuple[Float[Tensor, "4 2"], ...]
+    """Corners."""
+    arrows: tuple[Float[Tensor, "2 2"], ...]
+    """Forces of the plates, from where they act."""
+
+
+def person_sight(outcome: Outcome) -> Sight:
+    """Return the identified person in the frame that shows most.
 
     Args:
         outcome: the run.
@@ -60,25 +80,51 @@ def person_picture(outcome: Outcome) -> tuple[Markup, str]:
     plates, arrows = [], []
     if recorded.forces is not None:
         plates, arrows = _ground(recorded.forces.samples(slice(frame, frame + 1)), view, body_weight(outcome))
+    return Sight(
+        clean(recorded.name), float(tracked.time[frame]), tuple(map(view.seen, sticks)), view.seen(markers),
+        tuple(map(view.seen, plates)), tuple(view.seen(torch.stack(one)) for one in arrows),
+    )  # fmt: skip
+
+
+def person_picture(outcome: Outcome) -> tuple[Markup, str]:
+    """Return the picture and what it shows.
+
+    Args:
+        outcome: the run.
+    """
+    sight = person_sight(outcome)
 
     def paint(canvas: Canvas) -> None:
         panel = canvas.subplots()
-        for corners in plates:
-            panel.add_patch(Polygon(view.seen(corners).numpy(), closed=True, facecolor=SHADE, edgecolor=MUTED))
-        for stick in map(view.seen, sticks):
+        for corners in sight.plates:
+            panel.add_patch(Polygon(corners.numpy(), closed=True, facecolor=SHADE, edgecolor=MUTED))
+        for stick in sight.sticks:
             panel.plot(*stick.T, color=IDENTIFIED, linewidth=5.0, solid_capstyle="round", zorder=2)
-        panel.scatter(*view.seen(markers).T, s=6, color=MEASURED, linewidths=0, zorder=3)
-        for start, end in arrows:
-            (x0, y0), (x1, y1) = view.seen(start).tolist(), view.seen(end).tolist()
-            panel.annotate("", (x1, y1), (x0, y0), arrowprops=ARROW, zorder=4)
-            panel.plot((x0, x1), (y0, y1), alpha=0.0)  # the axes do not see arrows
+        panel.scatter(*sight.markers.T, s=6, color=MEASURED, linewidths=0, zorder=3)
+        for start, end in (arrow.tolist() for arrow in sight.arrows):
+            panel.annotate("", end, start, arrowprops=ARROW, zorder=4)
+            panel.plot(*zip(start, end, strict=True), alpha=0.0)  # the axes do not see arrows
         panel.set_aspect("equal")
         panel.axis("off")
 
-    forces = ", arrows: forces of the plates" if arrows else ""
-    time = f"{clean(recorded.name)} at {float(tracked.time[frame]):.2f} s"
+    forces = ", arrows: forces of the plates" if sight.arrows else ""
+    time = f"{sight.trial} at {sight.time:.2f} s"
     caption = f"Identified body, dots: markers{forces} ({time})."
     return draw("person", (2.6, 4.0), f"The identified person in {time}", paint), caption
+
+
+def person_outline(outcome: Outcome) -> dict[str, list[list[int]]]:
+    """Return sticks and arrows of the picture as numbers for a small one: x and y of both ends, down the page [cm].
+
+    Args:
+        outcome: the run.
+    """
+    sight, down = person_sight(outcome), torch.tensor([100.0, -100.0])
+    lines = {"sticks": sight.sticks, "arrows": sight.arrows}
+    return {
+        name: [(one * down.to(one)).round().int().flatten().tolist() for one in some if bool(one.isfinite().all())]
+        for name, some in lines.items()
+    }
 
 
 def shown_frame(outcome: Outcome) -> tuple[str, int]:
