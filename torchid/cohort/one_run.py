@@ -94,7 +94,7 @@ def _figures(outcome: Outcome, config: Config) -> Row:
         "marker_rmse_mm": 1e3 * rms(*(one.tracked.error for one in outcome.followed.values())),
         "heldout_force_N": forces["force_rmse_N"],
         "heldout_moment_Nm": forces["moment_rmse_Nm"],
-        "causes": [called(one) for one in causes],
+        "causes": list(dict.fromkeys(called(one) for one in causes)),
         "outline": person_outline(outcome),
     }
 

@@ -65,6 +65,11 @@ def draw(key: str, size: tuple[float, float], describe: str, paint: Callable[[Ca
         canvas = Canvas(figsize=size, layout="constrained")
         FigureCanvasSVG(canvas)
         paint(canvas)
+        # Laid out here: savefig would draw everything once more for it.
+        engine = canvas.get_layout_engine()
+        assert engine is not None
+        engine.execute(canvas)
+        canvas.set_layout_engine("none")
         buffer = BytesIO()
         canvas.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return inline(buffer.getvalue().decode("utf-8", "replace"), key, size, describe)
