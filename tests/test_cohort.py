@@ -341,6 +341,30 @@ def test_a_cohort_runs_whoever_is_killed_meanwhile(tmp_path):
         assert pd.read_parquet(out / "cohort.parquet").subject.tolist() == list("ABCD")
 
 
+@pytest.mark.slow
+def test_the_job_script_of_slurm_runs_a_cohort(tmp_path):
+    """As the page has it, with an ``srun`` that starts two tasks on this machine."""
+    page = (Path(__file__).parents[1] / "docs" / "cohort.md").read_text(encoding="utf-8")
+    (script,) = re.findall(r'```bash title="cohort.sbatch"\n(.*?)```', page, re.DOTALL)
+    tree(tmp_path, "a", "b")
+    table(tmp_path, "subject,folder", "A,a", "B,b")
+    (tmp_path / "bin").mkdir()
+    srun = tmp_path / "bin" / "srun"
+    srun.write_text('#!/bin/sh\n"$@" &\n"$@" &\nwait\n')
+    srun.chmod(0o755)
+    path = os.pathsep.join((str(srun.parent), str(Path(sys.executable).parent), os.environ["PATH"]))
+    with (tmp_path / "job.log").open("wb") as log:
+        job = subprocess.Popen(["bash", "-c", script], cwd=tmp_path, env=os.environ | {"PATH": path}, stdout=log,
+                               stderr=log, start_new_session=True)  # fmt: skip
+        try:
+            code = job.wait(timeout=300)
+        finally:
+            os.killpg(job.pid, signal.SIGKILL)  # as Slurm ends what a job leaves
+    assert code == 4, (tmp_path / "job.log").read_text()  # neither is a recording
+    with (tmp_path / "out/laboratory/cohort.csv").open() as file:
+        assert [one["status"] for one in csv.DictReader(file)] == ["set aside"] * 2
+
+
 def _runs(pid: int) -> list[int]:
     """Processes of members' runs below a command."""
     found = []
