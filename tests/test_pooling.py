@@ -201,9 +201,11 @@ def test_two_plates_without_corners_stay_two() -> None:
         frames = tuple(PlateFrame(f"plate_{k}", p, eye) for k, p in enumerate(places, 1))
         return SessionEvidence(session(draw, np.zeros(PARAMETERS)), tuple(map(LaboratoryPlate, frames, unknown)))
 
-    (home,) = laboratories({"a": belts(0.0, 0.25), "b": belts(0.27, 0.02)}, {})
+    both, named = {"a": belts(0.0, 0.25), "b": belts(0.27, 0.02)}, dict.fromkeys("ab", {"laboratory": "hall"})
+    assert len(laboratories(both, {})) == 2, "in many laboratories feet bear there"
+    (home,) = laboratories(both, named)
     assert len(home.plates) == 2 and home.visits[1].evidence.faults[1] == ("plate_gain", ("plate_2",))
-    apart = laboratories({"a": belts(0.0, math.nan), "b": belts(5.0, math.nan)}, {})
+    apart = laboratories({"a": belts(0.0, math.nan), "b": belts(5.0, math.nan)}, named)
     assert len(apart) == 2
 
 

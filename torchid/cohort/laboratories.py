@@ -46,7 +46,8 @@ def laboratories(
     """Return the laboratories in which sessions were recorded.
 
     Sessions belong together whose plates are in the same places, unless the table calls their laboratories by different
-    names. Those without any plate that another one has are a laboratory each.
+    names; without corners of plates, only where it calls them by one. Those without any plate that another one has are
+    a laboratory each.
 
     Args:
         found: what each session says, by its name.
@@ -92,10 +93,14 @@ def _in_time(home: Laboratory, order: Mapping[str, int]) -> Laboratory:
 
 
 def _shares(home: Laboratory, session: SessionEvidence, said: Mapping[str, str]) -> bool:
-    """Whether a session was recorded in a laboratory: on one of its plates, and under no other name."""
+    """Whether a session was recorded in a laboratory: on one of its plates, and under no other name.
+
+    In many laboratories feet bear in the same places: without corners, plates are the same where the table says so.
+    """
     if said.get("laboratory") and said["laboratory"] != home.name:
         return False
-    return bool(names_in(home.plates, session.plates))
+    surveyed = [one for one in session.plates if said.get("laboratory") or bool(one.corners.isfinite().all())]
+    return bool(names_in(home.plates, surveyed))
 
 
 def _with(home: Laboratory, name: str, when: str, session: SessionEvidence) -> Laboratory:

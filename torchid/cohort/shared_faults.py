@@ -12,7 +12,7 @@ from torchid.cohort.pooling import LaboratoryVerdict, SharedFault, pooled
 from torchid.diagnosis.verdict.records import level_of
 from torchid.effects.catalogue import effect
 from torchid.errors import InputError
-from torchid.report.blocks import Block, Paragraph, Section, Table
+from torchid.report.blocks import Block, Details, Paragraph, Section, Table
 from torchid.report.cause_sentences import chance
 from torchid.session.laboratory import NAME as EVIDENCE
 from torchid.session.laboratory import SessionEvidence, laboratory_dataset, read_laboratory
@@ -20,7 +20,7 @@ from torchid.storage.files import file_sha256, plain, safe_name, write_json
 from torchid.storage.netcdf import write_netcdf
 from torchid.storage.provenance import stage_key
 from torchid.storage.results import OutputFolder
-from torchid.wording import clean, listing, number, plural
+from torchid.wording import ABSENT, clean, listing, number, plural
 
 NAME = "laboratories.json"
 """Of the file in a cohort's folder."""
@@ -135,11 +135,12 @@ def laboratories_section(said: Mapping[str, Any]) -> Section | None:
                 ("Laboratory", "What is wrong", "Sessions", "Or it is", "Sure"),
                 tuple(_line(*both) for both in faults), 5, True,
             ),
-            Table("Plates, by the laboratory's numbers.", ("Laboratory", "Plate", "x [m]", "y [m]"),
-                  tuple(_plates(table)), 2),
+            Details("Plates, by the laboratory's numbers", (
+                Table("", ("Laboratory", "Plate", "x [m]", "y [m]"), tuple(_plates(table)), 2),
+            )),
         ]  # fmt: skip
-    sessions = tuple((clean(h["name"]), clean(listing(h["sessions"], 6), 300), str(len(h["sessions"]))) for h in table)
-    blocks.append(Table("Sessions on the same plates.", ("Laboratory", "Sessions", "number"), sessions, 2))
+    sessions = tuple((clean(h["name"]), str(len(h["sessions"])), clean(listing(h["sessions"], 6), 300)) for h in table)
+    blocks.append(Table("Sessions on the same plates.", ("Laboratory", "number", "Sessions"), sessions, 3, True))
     if said["without"]:
         names = clean(listing(said["without"], 6), 300)
         blocks.append(Paragraph(f"Without a word of their laboratory: {names}."))
@@ -149,7 +150,9 @@ def laboratories_section(said: Mapping[str, Any]) -> Section | None:
 def _plates(table: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
     for home in table:
         for name, plate in home["plates"].items():
-            yield clean(home["name"]), clean(name), *(number(x, 2) for x in plate["position_m"][:2])
+            place = [number(x, 2) for x in plate["position_m"][:2]]
+            if ABSENT not in place:  # a plate that bore nothing is nowhere
+                yield clean(home["name"]), clean(name), *place
 
 
 def _line(home: Mapping[str, Any], fault: Mapping[str, Any]) -> tuple[str, ...]:

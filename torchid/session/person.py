@@ -21,6 +21,7 @@ from torchid.model.anthropometry import tables_of
 from torchid.model.people import SCORES
 from torchid.session.outcome import Outcome
 from torchid.session.people import FORM, numbers_of, people_of
+from torchid.session.unseen import UNSEEN, unseen_mass
 from torchid.wording import number, plural
 
 NAME = "person.nc"
@@ -68,10 +69,13 @@ def person_evidence(outcome: Outcome) -> PersonEvidence | None:
         outcome: up to the deviations of its inertia.
 
     Returns:
-        None without an identified body, of a model from a file, or under a prior that is not normal.
+        None without an identified body, of a model from a file, under a prior that is not normal, and of a body most of
+        which nobody saw moving.
     """
     config, found = outcome.config, outcome.identified
     if found is None or config.model != "whole_body" or config.inertia.prior != "quadratic":
+        return None
+    if unseen_mass(outcome.fit, outcome.prior)[0] > UNSEEN:
         return None
     mean, way = tables_of(outcome.fit.geometry, *config.subject.known).at(torch.zeros(SCORES, dtype=torch.float64))
     factor = cholesky(found.fit.prior.covariance)
