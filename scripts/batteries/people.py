@@ -8,6 +8,11 @@ by lot differs from them (``shifted``); and from its tables as they are (``table
 The first of each group are run for their ``person.nc``; what these say is the prior of the others, who are run with it
 and without. Prints root mean square errors before and after forces, with the cohort's people and with tables alone.
 What a folder keeps is not run again.
+
+    scripts/module test batteries.people --children
+
+Of recorded children nobody knows the truth: each is run with what the other five say, and without, and held-out forces
+and moments are compared.
 """
 
 import json
@@ -22,21 +27,25 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
-from harness.command import Among, Command, said_seed
+from harness.command import DATA, Among, Command, said_seed
 from harness.pool import performed
 from harness.rows import Row
+from planted_faults.real_files import frames_kept, read_recorded, write_session
+from planted_faults.real_sessions import CHILDREN, SESSIONS
 
 from batteries.coverage import QUANTITIES, compared, truth_of
 from batteries.remembered import remembering
 from batteries.sessions import OWN, Job, written
 from torchid.cohort.people import people_like
+from torchid.config import load_config
 from torchid.errors import TorchidError
 from torchid.model.anthropometry import inertial_prior
 from torchid.model.people import People, shared, varying
 from torchid.model.pseudo import com, mass
 from torchid.run import run_experiment
 from torchid.session.people import people_dataset
-from torchid.session.person import NAME, read_person
+from torchid.session.person import NAME, UNLIKE, read_person
+from torchid.session.tables import heldout_errors
 from torchid.storage.netcdf import write_netcdf
 
 GROUPS = ("mujoco", "shifted", "tables")
@@ -101,6 +110,44 @@ def perform(case: Case, out: Path) -> Row:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def perform_child(name: str, like: bool, out: Path) -> Row:
+    """Held-out errors of a child, from tables or as one of the others; the evidence is kept."""
+    session = next(one for one in SESSIONS if one.name == name)
+    row, folder = {"key": f"{name}{'-like' if like else ''}"}, out / "scratch" / f"{name}-{like}"
+    recorded = read_recorded(session, session.ways[-1], DATA)
+    config = load_config(write_session(recorded, session, folder, [frames_kept(one) for one in recorded.trials]))
+    plain = {"diagnosis": config.diagnosis.model_copy(update={"enabled": False})}
+    if like:
+        people = people_like([read_person(out / "evidence" / f"{one}.nc") for one in CHILDREN if one != name])
+        assert people is not None
+        row["own"] = people.own
+        write_netcdf(folder / PEOPLE, [people_dataset(people)])
+        plain["subject"] = config.subject.model_copy(update={"people": folder / PEOPLE})
+    with patch("torchid.run.sequence.write_report"), remembering(out / "fits"):
+        outcome = run_experiment(config.model_copy(update=plain))
+    if not like:
+        (out / "evidence").mkdir(parents=True, exist_ok=True)
+        shutil.copy(config.out / NAME, out / "evidence" / f"{name}.nc")
+    shutil.rmtree(folder, ignore_errors=True)
+    return row | heldout_errors(outcome) | {"notes": [n.message for n in outcome.notes if n.code == UNLIKE]}
+
+
+def children(jobs: int, out: Path) -> Iterator[str]:
+    """A line for each child: held-out errors with tables and with the other children."""
+    rows = {}
+    for like in (False, True):
+        some = {f"{name}{'-like' if like else ''}": name for name in CHILDREN}
+        for row in performed(some, partial(perform_child, like=like, out=out), jobs, out / "children.jsonl"):
+            rows[row["key"]] = row
+    kinds = {"force_rmse_N": "N", "moment_rmse_Nm": "N m"}
+    for name in CHILDREN:
+        own, like = rows[name], rows[f"{name}-like"]
+        said = ", ".join(f"{own[kind]:.1f} -> {like[kind]:.1f} {unit}" for kind, unit in kinds.items())
+        yield f"{name}: {said} (own share {like['own']}) {' '.join(like['notes'])}"
+    for kind in kinds:
+        yield f"{kind}: median ratio {np.median([rows[f'{n}-like'][kind] / rows[n][kind] for n in CHILDREN]):.3f}"
+
+
 def people_of(group: str, seed: int, before: int, out: Path) -> People | None:
     """What the first of a group say of one more, written."""
     files = [out / "evidence" / f"{Case(group, seed, k).key}.nc" for k in range(before)]
@@ -148,8 +195,12 @@ def main() -> None:
         after=(8, "others, who are run with it"),
         jobs=2,
         groups=(Among(GROUPS, GROUPS, True, "GROUP"), ", ".join(GROUPS)),
+        children=(False, "recorded children, each as one of the others"),
         out=(Path("out/people"), "folder of evidence and rows"),
     ).asked()
+    if asked.children:
+        print("\n".join(children(asked.jobs, asked.out)))
+        return
     seed, kept = said_seed(asked.seed, 10**6), asked.out / "rows.jsonl"
     every = [Case(group, seed, k) for group in asked.groups for k in range(asked.before + asked.after)]
     rows = []
