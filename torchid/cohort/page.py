@@ -215,6 +215,6 @@ def _thumbnail(row: Row) -> str:
         return ""
     width, top, bottom = VIEW_CM
     return Markup(
-        '<svg viewBox="{} {} {} {}" style="width: 33px; height: 66px" fill="none" stroke-width="7" stroke-linecap="round" '
-        'role="img" aria-label="the identified body">{}</svg>'
+        '<svg viewBox="{} {} {} {}" style="width: 33px; height: 66px" fill="none" stroke-width="7" '
+        'stroke-linecap="round" role="img" aria-label="the identified body">{}</svg>'
     ).format(-width // 2, -top, width, top + bottom, Markup("").join(paths))

@@ -21,6 +21,7 @@ from torchid.dynamics.whitening import (
 from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.options import IdentifyOptions, InertiaOptions, of_whitened_rows
+from torchid.inertia.reliability import NoiseGram, calibrated
 from torchid.model.model import InertialPrior
 
 ROUNDS = 4
@@ -50,8 +51,12 @@ def identify_inertia(
     options: IdentifyOptions | None = None,
     mass: tuple[float, float] | None = None,
     com_box: Float[Tensor, "bodies 2 3"] | None = None,
+    noise: NoiseGram | None = None,
 ) -> Identified:
     """Identify the inertia of every body from the used frames of the trials.
+
+    Args:
+        noise: of the motion in their regressors, which is taken out; None: the motion is taken for exact.
 
     Raises:
         DataError: no run of used frames is long enough, or the fit is not accepted.
@@ -63,7 +68,7 @@ def identify_inertia(
             found=", ".join(f"{t.name}: {int(t.used.sum())} of {len(t.used)} frames" for t in trials) or "no trials",
             remedy="Record trials with both feet on plates, or check the plates with `torchid check`",
         )  # fmt: skip
-    return identify_spectra(by_trial, trials[0].tree.names, prior, options, mass, com_box)
+    return identify_spectra(by_trial, trials[0].tree.names, prior, options, mass, com_box, noise)
 
 
 def identify_spectra(
@@ -73,8 +78,11 @@ def identify_spectra(
     options: IdentifyOptions | None = None,
     mass: tuple[float, float] | None = None,
     com_box: Float[Tensor, "bodies 2 3"] | None = None,
+    noise: NoiseGram | None = None,
 ) -> Identified:
     """Identify the inertia of every body from blocks of rows, trial by trial; each has one block at least.
+
+    Rows are whitened by what they leave as they are; the noise of the motion is taken out of them at the end.
 
     Raises:
         DataError: the fit is not accepted.
@@ -90,6 +98,8 @@ def identify_spectra(
             ((block, fit.phi.reshape(-1)) for block in chain.from_iterable(by_trial)), determined(fit)
         )
     sums = _sums(by_trial, whitening)
+    if noise is not None:
+        sums = calibrated(sums, noise(whitening), prior.covariance)
     return Identified(_fit(sums, prior, names, own, mass, com_box), whitening, sum(int(part.rows) for part in sums))
 
 

@@ -16,6 +16,7 @@ from torchid.inertia.identify import Identified, identify_inertia
 from torchid.model.model import InertialPrior
 from torchid.recording import Trial
 from torchid.session import Outcome, Session
+from torchid.session.motion_noise import motion_noise
 from torchid.session.standing import standing_weight
 from torchid.session.unseen import hold_unseen
 
@@ -106,7 +107,8 @@ def identify(inertia: Inertia, who: Subject, outcome: Outcome, progress: OnStage
     mass, box = given_mass(inertia, who, outcome), com_boxes(outcome.prior) if inertia.com_boxes else None
     options, prior = hold_unseen(inertia, outcome.prior, outcome.fit)
     try:
-        found = identify_inertia([t for t in trials if t is not None], prior, options, mass, box)
+        rows = [t for t in trials if t is not None]
+        found = identify_inertia(rows, prior, options, mass, box, motion_noise(outcome))
     except DataError as error:
         fitted = outcome.session.fit("inertia").values()
         raise explained_by_weight(error, fitted, *_body_mass(who, outcome)) from error
