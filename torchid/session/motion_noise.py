@@ -55,26 +55,36 @@ def motion_noise(outcome: Outcome) -> MotionNoise | None:
 
 def _of_trial(outcome: Outcome, rows: WrenchTrial) -> Iterator[tuple[tuple[BlockSpectrum, ...], float]]:
     fit, item = outcome.fit, outcome.followed[rows.name]
-    markers, whole = outcome.right(rows.name).markers, sum(part.stop - part.start for part in rows.blocks())
-    parts = [one for one in _parts(rows) if any(True for _ in rows.frames(one).blocks())]
-    some = sum(b.stop - b.start for one in parts for b in rows.frames(one).blocks())
-    for part in parts:
-        own = rows.frames(part)
+    markers, parts = outcome.right(rows.name).markers, [one for one in _parts(rows) if _counted(_inside(rows, *one))]
+    share = _counted(rows) / max(sum(_counted(_inside(rows, *one)) for one in parts), 1) / DRAWS
+    for part, inner in parts:
+        own = _inside(rows, part, inner)
         scene = make_scene(rows.name, rows.tree, rows.geometry, own.motion, outcome.prior.mean)
-        seen = replace(item.tracked, q=item.tracked.q[part])
-        response = make_response(scene, fit, markers.frames(part), seen)
+        response = make_response(scene, fit, markers.frames(part), item.tracked.frames(part))
         found, drawn = list(spectra(own)), []
         for motion in islice(draw_noise(own.motion, response), DRAWS):
             for before, after in zip(found, spectra(replace(own, motion=motion)), strict=True):
                 drawn.append(replace(before, Y=after.Y - before.Y, F=torch.zeros_like(before.F)))
-        yield tuple(drawn), whole / some / DRAWS
+        yield tuple(drawn), share
 
 
-def _parts(rows: WrenchTrial) -> list[slice]:
-    """All of a trial, or pieces of a long one, evenly over it."""
+def _parts(rows: WrenchTrial) -> list[tuple[slice, slice]]:
+    """All of a trial, or pieces of a long one, evenly over it; and the frames inside, where the filter knows both
+    sides."""
     frames = len(rows.used)
     if frames <= MOST_FRAMES:
-        return [slice(0, frames)]
-    length = MOST_FRAMES // PIECES
+        return [(slice(0, frames), slice(0, frames))]
+    length, margin = MOST_FRAMES // PIECES, round(rows.rate / rows.motion.smoother.cutoff_hz)
     starts = torch.linspace(0, frames - length, PIECES).round().int().tolist()
-    return [slice(start, start + length) for start in starts]
+    return [(slice(max(start - margin, 0), start + length + margin), slice(start, start + length)) for start in starts]
+
+
+def _inside(rows: WrenchTrial, part: slice, inner: slice) -> WrenchTrial:
+    """Some frames of a trial, of which those inside count."""
+    used = torch.zeros_like(rows.used)
+    used[inner] = rows.used[inner]
+    return replace(rows, used=used).frames(part)
+
+
+def _counted(rows: WrenchTrial) -> int:
+    return sum(part.stop - part.start for part in rows.blocks())
