@@ -75,6 +75,7 @@ def fit_inertia(
     mass: tuple[float, float] | None = None,
     com_box: Float[Tensor, "bodies 2 3"] | None = None,
     trials: Sequence[NormalEquations] = (),
+    as_seen: NormalEquations | None = None,
 ) -> InertiaFit:
     """Identify the ten inertial parameters of every body.
 
@@ -87,6 +88,8 @@ def fit_inertia(
         mass: total mass and its standard deviation [kg], when the prior does not hold it already.
         com_box: lower and upper corner of the box that holds each centre of mass, body axes [m].
         trials: the equations trial by trial, for ``prior_weight="cross_validation"``.
+        as_seen: the equations before noise was taken out of them, which tell what the motion determines at all; None:
+            they are the equations themselves.
 
     Raises:
         ConfigError: prior, mass or boxes cannot be.
@@ -98,7 +101,7 @@ def fit_inertia(
     options = options or InertiaOptions()
     problem = pose(equations, prior, names, options, mass, com_box)
     spectrum = diagonalise(equations, problem.mean, problem.covariance, mass)
-    data = structure(equations, options.rank_tolerance)
+    data = structure(equations if as_seen is None else as_seen, options.rank_tolerance)
     weights = choose_weights(spectrum, options, trials, problem.covariance, mass) if data.rank else NO_DATA
     free = spectrum.params(spectrum.solve(weights.omega_1, weights.omega_2))
     covariance = spectrum.covariance(weights.omega_1, weights.omega_2)

@@ -97,10 +97,10 @@ def identify_spectra(
         whitening = estimate_whitening(
             ((block, fit.phi.reshape(-1)) for block in chain.from_iterable(by_trial)), determined(fit)
         )
-    sums = _sums(by_trial, whitening)
-    if noise is not None:
-        sums = calibrated(sums, noise(whitening), prior.covariance)
-    return Identified(_fit(sums, prior, names, own, mass, com_box), whitening, sum(int(part.rows) for part in sums))
+    seen = _sums(by_trial, whitening)
+    sums = seen if noise is None else calibrated(seen, noise(whitening), prior.covariance)
+    fit = _fit(sums, prior, names, own, mass, com_box, seen)
+    return Identified(fit, whitening, sum(int(part.rows) for part in sums))
 
 
 def _sums(by_trial: Sequence[Iterable[BlockSpectrum]], whitening: Whitening) -> list[NormalEquations]:
@@ -114,9 +114,11 @@ def _fit(
     options: InertiaOptions,
     mass: tuple[float, float] | None,
     com_box: Tensor | None,
+    seen: Sequence[NormalEquations] = (),
 ) -> InertiaFit:
     total = sum(by_trial[1:], by_trial[0])
-    return fit_inertia(total, prior, names, options, mass=mass, com_box=com_box, trials=by_trial)
+    before = sum(seen[1:], seen[0]) if seen else None
+    return fit_inertia(total, prior, names, options, mass=mass, com_box=com_box, trials=by_trial, as_seen=before)
 
 
 def determined(fit: InertiaFit) -> float:

@@ -49,7 +49,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Sight:
+class PersonView:
     """What the camera sees of one frame, to the right and up [m]."""
 
     trial: str
@@ -66,7 +66,7 @@ class Sight:
     """Forces of the plates, from where they act."""
 
 
-def person_sight(outcome: Outcome) -> Sight:
+def person_view(outcome: Outcome) -> PersonView:
     """Return the identified person in the frame that shows most.
 
     Args:
@@ -80,7 +80,7 @@ def person_sight(outcome: Outcome) -> Sight:
     plates, arrows = [], []
     if recorded.forces is not None:
         plates, arrows = _ground(recorded.forces.samples(slice(frame, frame + 1)), view, body_weight(outcome))
-    return Sight(
+    return PersonView(
         clean(recorded.name), float(tracked.time[frame]), tuple(map(view.seen, sticks)), view.seen(markers),
         tuple(map(view.seen, plates)), tuple(view.seen(torch.stack(one)) for one in arrows),
     )  # fmt: skip
@@ -92,23 +92,23 @@ def person_picture(outcome: Outcome) -> tuple[Markup, str]:
     Args:
         outcome: the run.
     """
-    sight = person_sight(outcome)
+    view = person_view(outcome)
 
     def paint(canvas: Canvas) -> None:
         panel = canvas.subplots()
-        for corners in sight.plates:
+        for corners in view.plates:
             panel.add_patch(Polygon(corners.numpy(), closed=True, facecolor=SHADE, edgecolor=MUTED))
-        for stick in sight.sticks:
+        for stick in view.sticks:
             panel.plot(*stick.T, color=IDENTIFIED, linewidth=5.0, solid_capstyle="round", zorder=2)
-        panel.scatter(*sight.markers.T, s=6, color=MEASURED, linewidths=0, zorder=3)
-        for start, end in (arrow.tolist() for arrow in sight.arrows):
+        panel.scatter(*view.markers.T, s=6, color=MEASURED, linewidths=0, zorder=3)
+        for start, end in (arrow.tolist() for arrow in view.arrows):
             panel.annotate("", end, start, arrowprops=ARROW, zorder=4)
             panel.plot(*zip(start, end, strict=True), alpha=0.0)  # the axes do not see arrows
         panel.set_aspect("equal")
         panel.axis("off")
 
-    forces = ", arrows: forces of the plates" if sight.arrows else ""
-    time = f"{sight.trial} at {sight.time:.2f} s"
+    forces = ", arrows: forces of the plates" if view.arrows else ""
+    time = f"{view.trial} at {view.time:.2f} s"
     caption = f"Identified body, dots: markers{forces} ({time})."
     return draw("person", (2.6, 4.0), f"The identified person in {time}", paint), caption
 
@@ -119,8 +119,8 @@ def person_outline(outcome: Outcome) -> dict[str, list[list[int]]]:
     Args:
         outcome: the run.
     """
-    sight, down = person_sight(outcome), torch.tensor([100.0, -100.0])
-    lines = {"sticks": sight.sticks, "arrows": sight.arrows}
+    view, down = person_view(outcome), torch.tensor([100.0, -100.0])
+    lines = {"sticks": view.sticks, "arrows": view.arrows}
     return {
         name: [(one * down.to(one)).round().int().flatten().tolist() for one in some if bool(one.isfinite().all())]
         for name, some in lines.items()
