@@ -17,15 +17,23 @@ from torchid.cohort.people_section import cohort_people, people_section
 from torchid.config.sections import Subject
 from torchid.errors import ConfigError, InputError
 from torchid.extension.open_geometry import with_open_geometry
-from torchid.inertia.spectrum import cholesky
 from torchid.model.anthropometry import inertial_prior, tables_of
 from torchid.model.model import Geometry
-from torchid.model.people import PARTS, SCORES, TOTAL, People, shared, varying
+from torchid.model.people import PARTS, SCORES, TOTAL, People, own_covariance, shared
 from torchid.model.pseudo import com, mass
 from torchid.model.whole_body import whole_body
 from torchid.session import Outcome
+from torchid.session.fitting import given_mass
 from torchid.session.people import people_dataset, people_of, read_people, subject_prior
-from torchid.session.person import PersonEvidence, people_notes, person_dataset, person_evidence, read_person
+from torchid.session.person import (
+    PersonEvidence,
+    people_note,
+    person_dataset,
+    person_evidence,
+    read_person,
+    together,
+    unlike_note,
+)
 from torchid.storage.netcdf import write_netcdf
 from torchid.storage.results import OutputFolder
 
@@ -49,7 +57,12 @@ def seen(draw: np.random.Generator, score: torch.Tensor) -> PersonEvidence:
 def group(draw: np.random.Generator, own: float) -> tuple[torch.Tensor, list[torch.Tensor]]:
     """Mean scores of a group, and those of its people."""
     mean = shared() @ torch.tensor(draw.normal(size=shared().shape[1])) * (1.0 - own) ** 0.5
-    return mean, [mean + varying(own) * torch.tensor(draw.normal(size=SCORES)) for _ in range(PEOPLE)]
+    return mean, [mean + one_own(draw, own) for _ in range(PEOPLE)]
+
+
+def one_own(draw: np.random.Generator, own: float) -> torch.Tensor:
+    """What is one person's own."""
+    return torch.linalg.cholesky(own_covariance(own)) @ torch.tensor(draw.normal(size=SCORES))
 
 
 def test_a_group_is_alike_on_both_sides():
@@ -64,19 +77,26 @@ def test_a_group_is_alike_on_both_sides():
     middle = [k for k, part in enumerate(PARTS) if PARTS.count(part) == 1]
     assert_close(com(phi)[middle, 1], torch.zeros(4).double())
     assert float(mass(phi).sum()) == pytest.approx(70.0)
-    assert float(varying(0.2)[TOTAL]) == 1.0 and float(shared()[TOTAL].abs().max()) == 0.0
+    assert float(own_covariance(0.2)[TOTAL, TOTAL]) == 1.0 and float(shared()[TOTAL].abs().max()) == 0.0
+    B = shared()
+    assert_close(B.T @ B, torch.eye(B.shape[1]).double())
 
 
 def test_a_group_of_whom_nothing_is_known_is_as_tables_have_it():
-    """Every segment by itself scatters as before; left and right are alike now."""
-    own = 0.4
-    covariance = (1.0 - own) * shared() @ shared().T + varying(own).square().diag()
-    people = People(torch.zeros(SCORES).double(), covariance, 0, own)
-    before, after = (inertial_prior(medium(), 1.75, 70.0, 0.5, "male", None, one) for one in (None, people))
-    assert_close(after.mean, before.mean)
-    # Masses of both sides move together now, and less is left for either to gain from the other.
-    assert_close(after.covariance.diagonal().sqrt(), before.covariance.diagonal().sqrt(), rtol=0.2, atol=1e-9)
-    cholesky(after.covariance)
+    """Whatever is each one's own; what makes left other than right scatters as before in every group."""
+    for own in (0.1, 0.7):
+        covariance = (1.0 - own) * shared() @ shared().T + own_covariance(own)
+        people = People(torch.zeros(SCORES).double(), covariance, 0, own)
+        before, after = (inertial_prior(medium(), 1.75, 70.0, 0.5, "male", None, one) for one in (None, people))
+        assert_close(after.mean, before.mean)
+        assert_close(after.covariance, before.covariance)
+    draw = np.random.default_rng(seed_of("sides"))
+    people = people_like([seen(draw, score) for score in group(draw, 0.2)[1]])
+    assert people is not None
+    apart = torch.zeros(SCORES).double()
+    apart[10 * PARTS.index("thigh")], apart[10 * (PARTS.index("thigh") + 6)] = 0.5**0.5, -(0.5**0.5)
+    assert PARTS[PARTS.index("thigh") + 6] == "thigh" and float(apart @ people.score) == pytest.approx(0.0, abs=1e-9)
+    assert float(apart @ people.covariance @ apart) == pytest.approx(1.0)
 
 
 def test_the_next_of_a_group_is_nearer_than_tables_and_within_what_is_said():
@@ -87,9 +107,8 @@ def test_the_next_of_a_group_is_nearer_than_tables_and_within_what_is_said():
         mean, scores = group(draw, own)
         people = people_like([seen(draw, score) for score in scores])
         assert people is not None
-        one = mean + varying(own) * torch.tensor(draw.normal(size=SCORES))
-        told = shared().any(1)
-        nearer += float((one - people.score)[told].norm()) < float(one[told].norm())
+        one = mean + one_own(draw, own)
+        nearer += float((shared().T @ (one - people.score)).norm()) < float((shared().T @ one).norm())
         z += ((one - people.score) / people.covariance.diagonal().sqrt()).tolist()
         shares.append(people.own - own)
     assert nearer >= at_least(0.99, GROUPS)
@@ -126,16 +145,22 @@ def test_what_a_run_keeps_gives_its_inertia_back():
     outcome = small.outcome()
     found = exact(outcome).identified
     assert found is not None
-    kept = person_evidence(exact(outcome))
+    who = outcome.config.subject
+    kept = person_evidence(exact(outcome), who)
     assert kept is not None
     fit, prior = found.fit, found.fit.prior
     way = tables_of(outcome.fit.geometry, *outcome.config.subject.known).at(torch.zeros(SCORES).double())[1]
-    precision = kept.information + fit.omega_2 * torch.eye(SCORES).double()
-    score = torch.linalg.solve(precision, kept.moment)
+    precision, moment = kept.information + fit.omega_2 * torch.eye(SCORES).double(), kept.moment
+    held = given_mass(outcome.config.inertia, who, outcome)
+    if held is not None:  # no row of forces
+        lever = way[::10].sum(0) / held[1]
+        precision = precision + lever[:, None] * lever
+        moment = moment + lever * (held[0] - float(prior.mean[:, 0].sum())) / held[1]
+    score = torch.linalg.solve(precision, moment)
     assert_close((prior.mean.flatten() + way @ score), fit.phi.flatten(), rtol=1e-5, atol=1e-5)
     back = way @ torch.linalg.solve(precision, way.T)
     assert_close(back.diagonal().sqrt(), fit.covariance.diagonal().sqrt(), rtol=1e-4, atol=1e-9)
-    wider = person_evidence(with_open_geometry(exact(outcome)))
+    wider = person_evidence(with_open_geometry(exact(outcome)), who)
     assert wider is not None
     less = torch.linalg.eigvalsh(kept.information - wider.information)
     assert float(less[0]) > -1e-6 * float(less[-1]) and float(less[-1]) > 0.0
@@ -144,15 +169,17 @@ def test_what_a_run_keeps_gives_its_inertia_back():
 def test_a_run_tells_what_its_prior_is_and_when_it_is_unlike(tmp_path):
     """People like the subject are a note; others, to whom the forces object, are another."""
     outcome = small.outcome()
-    evidence = person_evidence(outcome)
-    assert evidence is not None and not list(people_notes(outcome))
+    evidence = person_evidence(outcome, outcome.config.subject)
+    assert evidence is not None and not list(people_note(outcome.config))
     at = torch.linalg.solve(evidence.information + torch.eye(SCORES).double(), evidence.moment)
     for name, score, code in (("like", at, "people.used"), ("unlike", -4.0 * at, "people.unlike")):
         path = tmp_path / f"{name}.nc"
         write_netcdf(path, [people_dataset(People(score, torch.eye(SCORES).double(), 5, 0.5))])
         who = outcome.config.subject.model_copy(update={"people": path})
-        (note,) = people_notes(replace(outcome, config=outcome.config.model_copy(update={"subject": who})))
-        assert note.code == code and "5 sessions" in note.message and note.source == str(path)
+        told = replace(outcome, config=outcome.config.model_copy(update={"subject": who}))
+        first, *others = *people_note(told.config), *unlike_note(told, evidence)
+        assert first.code == "people.used" and "5 people" in first.message and first.source == str(path)
+        assert [one.code for one in others] == [code] * (code == "people.unlike")
         prior = subject_prior("whole_body", who, outcome.fit)
         assert float((prior.mean - outcome.prior.mean).abs().max()) > 1e-3
 
@@ -177,15 +204,20 @@ def test_files_that_are_none_are_refused(tmp_path):
 def test_a_cohort_writes_its_people_once(tmp_path):
     """From all whose results may be used; the page has what they have in common."""
     draw = np.random.default_rng(seed_of("cohort"))
-    names = ["A", "B", "C", "D"]
-    for name, score in zip(names, group(draw, 0.2)[1], strict=False):
+    names, scores = ["A", "B", "sub-1_ses-1", "sub-1_ses-2", "D"], group(draw, 0.2)[1]
+    for name, score in zip(names, (scores[0], scores[1], scores[2], scores[2], scores[3]), strict=True):
         (tmp_path / name).mkdir()
         write_netcdf(tmp_path / name / "person.nc", [person_dataset(seen(draw, score))])
     rows = [row(name) for name in names]
     rows[-1] |= {"verdict": "do not use"}
     with OutputFolder(tmp_path, beside=True) as folder:
         people = cohort_people(rows, folder)
-    assert people is not None and people.count == 3
+    assert people is not None and people.count == 3, "two sessions are one person"
+    each = {name: read_person(tmp_path / name / "person.nc") for name in names[:-1]}
+    one = together([each.pop(f"sub-1_ses-{k}") for k in (1, 2)])
+    alone = people_like([*each.values(), one])
+    assert alone is not None
+    assert_close(people.score, alone.score)
     page = render_cohort(rows, tmp_path, [people_section(people)])
     assert "People" in page and "upper arm" in page and "people.nc" in page
     written = (tmp_path / "people.nc").stat().st_mtime_ns

@@ -1,81 +1,44 @@
-"""Noise of the motion is no inertia: what it is in the regressor is taken out of the fit."""
+"""The table of goals: what the source shows, and records of long measurements."""
 
-from dataclasses import replace
+import sys
+from pathlib import Path
 
 import pytest
-import small_session as small
-import torch
-from draws import seed_of
-from torch.testing import assert_close
 
-from torchid.dynamics.row_equations import NormalEquations
-from torchid.dynamics.whitening import initial_whitening
-from torchid.inertia.reliability import calibrated
-from torchid.session import motion_noise as drawn
-from torchid.session.motion_noise import MotionNoise, motion_noise
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
-ROWS, PARAMETERS, TRIALS = 2000, 6, 24
+from reliability_table import record as records
+from reliability_table.goals import GOALS, Measuring, g5
+from reliability_table.source import unsafe, without_remedy
 
 
-def normal(generator: torch.Generator, *shape: int) -> torch.Tensor:
-    """Numbers by lot."""
-    return torch.randn(*shape, generator=generator, dtype=torch.float64)
+def test_calls_that_run_foreign_code_are_found(tmp_path: Path) -> None:
+    """Unpickling, shells and whole torch files are; plain numbers and weights are not."""
+    (tmp_path / "a.py").write_text(
+        "pickle.load(f)\nnp.load(f, allow_pickle=True)\nsubprocess.run(x, shell=True)\ntorch.load(f)\n"
+        "np.load(f, allow_pickle=False)\ntorch.load(f, weights_only=True)\nyaml.safe_load(f)\n"
+    )
+    assert [int(one.split(":")[1].split()[0]) for one in unsafe(tmp_path)] == [1, 2, 3, 4]
 
 
-def solved(sums: list[NormalEquations], covariance: torch.Tensor) -> torch.Tensor:
-    """Parameters about a prior of zero."""
-    total = sum(sums[1:], sums[0])
-    return torch.linalg.solve(total.gram + torch.linalg.inv(covariance), total.moment)
+def test_errors_without_a_remedy_are_found(tmp_path: Path) -> None:
+    """With its place; other calls are not counted."""
+    (tmp_path / "a.py").write_text('InputError("a.b", "c", remedy="d")\nInputError("a.b", "c")\nother("a.b", "c")\n')
+    assert without_remedy(tmp_path) == (["a.py:2"], 2)
 
 
-def test_parameters_are_right_in_the_mean_under_noise_in_the_regressor():
-    """Least squares alone is drawn to zero in every draw; of calibrated ones the mean errs by less than a third."""
-    generator = torch.Generator().manual_seed(seed_of("noise in the regressor"))
-    covariance, errors = 4.0 * torch.eye(PARAMETERS).double(), {"plain": [], "calibrated": []}
-    size = torch.linspace(0.1, 0.5, PARAMETERS).double()
-    for _ in range(TRIALS):
-        x, mixed = 1.0 + 0.2 * normal(generator, PARAMETERS), normal(generator, PARAMETERS, PARAMETERS) / 2.0
-        Y = normal(generator, ROWS, PARAMETERS) @ (torch.eye(PARAMETERS).double() + mixed)
-        F = Y @ x + 0.1 * normal(generator, ROWS)
-        seen = Y + size * normal(generator, ROWS, PARAMETERS)
-        halves = [NormalEquations.from_rows(*half) for half in zip(seen.chunk(2), F.chunk(2), strict=True)]
-        noise = ROWS * torch.diag(size.square())
-        errors["plain"].append(solved(halves, covariance) - x)
-        errors["calibrated"].append(solved(calibrated(halves, noise, covariance), covariance) - x)
-    plain, right = (torch.stack(errors[name]).mean(0) for name in ("plain", "calibrated"))
-    assert float(right.norm()) < float(plain.norm()) / 3.0
+def test_records_are_kept_and_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row is written with its date, read back, and the next of the same name takes its place."""
+    monkeypatch.setattr(records, "RECORDS", tmp_path / "records.json")
+    assert records.recorded() == {}
+    records.record("G8", "0 corrupt of 50", True, "scripts/faults")
+    records.record("G20", "2.1 GiB", None, "scripts/hour")
+    records.record("G8", "1 corrupt of 50", False, "scripts/faults")
+    found = records.recorded()
+    assert set(found) == {"G8", "G20"} and found["G8"].text == "1 corrupt of 50" and found["G8"].date
 
 
-def test_what_rows_say_nothing_of_stays_and_what_is_all_noise_says_nothing():
-    """No direction changes its sign, however large the noise is taken."""
-    generator = torch.Generator().manual_seed(seed_of("all noise"))
-    Y, covariance = normal(generator, ROWS, PARAMETERS), torch.eye(PARAMETERS).double()
-    Y[:, 0] = 0.0
-    sums = NormalEquations.from_rows(Y, Y.sum(1))
-    noise = torch.zeros(PARAMETERS, PARAMETERS).double()
-    noise[1, 1] = 5.0 * ROWS
-    (found,) = calibrated([sums], noise, covariance)
-    assert_close(found.gram[2:, 2:], sums.gram[2:, 2:], rtol=0.1, atol=1e-6 * ROWS)
-    assert float(found.gram[0].abs().max()) < 1e-9 * ROWS and float(torch.linalg.eigvalsh(found.gram)[0]) > -1e-9 * ROWS
-    assert float(found.gram[1, 1]) < 0.05 * float(sums.gram[1, 1])
-    assert_close(calibrated([sums], 0.0 * noise, covariance)[0].gram, sums.gram)
-
-
-def test_noise_of_a_session_is_drawn_from_its_markers(monkeypatch):
-    """Twice the noise has four times the gram; pieces of a long trial stand for all of it."""
-    outcome = small.outcome()
-    whitening = initial_whitening(outcome.phi)
-    found = motion_noise(outcome)
-    assert isinstance(found, MotionNoise)
-    gram = found(whitening)
-    assert float(torch.linalg.eigvalsh(gram)[0]) > -1e-9 * float(gram.diagonal().max()) and bool(gram.any())
-    again = motion_noise(outcome)
-    assert again is not None
-    assert_close(again(whitening), gram)
-    louder = tuple((tuple(replace(one, Y=2.0 * one.Y) for one in blocks), share) for blocks, share in found.pieces)
-    assert_close(MotionNoise(louder)(whitening), 4.0 * gram)
-    monkeypatch.setattr(drawn, "MOST_FRAMES", 200)
-    monkeypatch.setattr(drawn, "PIECES", 2)
-    pieces = motion_noise(outcome)
-    assert pieces is not None and len(pieces.pieces) > len(found.pieces)
-    assert float(pieces(whitening).trace()) == pytest.approx(float(gram.trace()), rel=0.5)
+def test_the_quick_goals_measure() -> None:
+    """The grid of rates and ratios, as an example, is right; every goal has its words."""
+    assert g5(Measuring(0, 10)).reached
+    assert all(words and how for words, how in GOALS.values())

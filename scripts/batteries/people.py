@@ -40,7 +40,7 @@ from torchid.cohort.people import people_like
 from torchid.config import load_config
 from torchid.errors import TorchidError
 from torchid.model.anthropometry import inertial_prior
-from torchid.model.people import People, shared, varying
+from torchid.model.people import People, own_covariance, shared
 from torchid.model.pseudo import com, mass
 from torchid.run import run_experiment
 from torchid.session.people import people_dataset
@@ -73,7 +73,7 @@ def group_of(seed: int) -> People:
     """A group that differs from the tables, by lot."""
     mean = np.random.default_rng((seed, 11)).normal(size=shared().shape[1]).clip(-2.0, 2.0)
     score = shared() @ torch.tensor(mean) * (1.0 - OWN_SHARE) ** 0.5
-    return People(score, varying(OWN_SHARE).square().diag(), 0, OWN_SHARE)
+    return People(score, own_covariance(OWN_SHARE), 0, OWN_SHARE)
 
 
 def perform(case: Case, out: Path) -> Row:

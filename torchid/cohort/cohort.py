@@ -101,10 +101,9 @@ def run_cohort(
         if left:
             with workers(count, scheduler) as client:
                 on_cluster(client.dashboard_link or "")
-                for row in _completed(client, left, folder.out, limits):
+                for row in _completed(client, members, left, folder.out, limits):
                     rows[row["subject"]] = row
                     tell([row])
-        refuse_names(everybody(members, rows), folder.out)
         found = [rows[member.name] for member in everybody(members, rows)]
         write_table(cohort_table(found, folder.out), NAME, installed(FORMS), folder.path)
         told = laboratories_section(laboratories_table(found, folder)), people_section(cohort_people(found, folder))
@@ -124,7 +123,7 @@ def _refuse_inside(members: Sequence[Participant], out: Path) -> None:
 
 
 def _completed(
-    client: "Client", left: Sequence[Participant], out: Path, limits: RunLimits
+    client: "Client", members: Sequence[Participant], left: Sequence[Participant], out: Path, limits: RunLimits
 ) -> Iterator[Row]:  # fmt: skip
     """Rows of members, and of the people that their folders turn out to show."""
     while left:
@@ -132,7 +131,9 @@ def _completed(
         for row in _performed(client, left, out, limits):
             found[row["subject"]] = row
             yield row
-        rows, left = missing([part for one in left for part in parts_of(one, found[one.name])], out)
+        parts = [part for one in left for part in parts_of(one, found[one.name])]
+        refuse_names([*members, *parts], out)
+        rows, left = missing(parts, out)
         yield from rows.values()
 
 

@@ -91,6 +91,16 @@ def members_of(where: Path) -> tuple[Participant, ...]:
     return found
 
 
+def person_of(name: str) -> str:
+    """Return whose session a member is: of BIDS' names, the subject's; any other names a person.
+
+    Args:
+        name: of the member.
+    """
+    subject, _, session = name.partition("_ses-")
+    return subject if session and subject.startswith("sub-") else name
+
+
 def refuse_names(members: Sequence[Participant], where: Path) -> None:
     """Refuse members whose results would lie in one place, or in the cohort's own.
 

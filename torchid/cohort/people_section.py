@@ -5,24 +5,25 @@ from contextlib import suppress
 
 import torch
 
+from torchid.cohort.members import person_of
 from torchid.cohort.one_run import Row
 from torchid.cohort.people import people_like
 from torchid.errors import InputError
 from torchid.model.anthropometry import tables_of
 from torchid.model.model import Geometry
-from torchid.model.people import PARTS, People, varying
+from torchid.model.people import PARTS, People, own_covariance
 from torchid.model.pseudo import com, mass
 from torchid.model.whole_body import whole_body
 from torchid.report.blocks import Paragraph, Section, Table
 from torchid.session.outcome import QualityLevel
 from torchid.session.people import people_dataset, read_people
 from torchid.session.person import NAME as PERSON
-from torchid.session.person import read_person
+from torchid.session.person import PersonEvidence, read_person, together
 from torchid.storage.files import file_sha256, safe_name
 from torchid.storage.netcdf import write_netcdf
 from torchid.storage.provenance import stage_key
 from torchid.storage.results import OutputFolder
-from torchid.wording import number, percent, plural, segment, spread
+from torchid.wording import number, percent, segment, spread
 
 NAME = "people.nc"
 """Of the file in a cohort's folder."""
@@ -43,17 +44,17 @@ def cohort_people(rows: Sequence[Row], folder: OutputFolder) -> People | None:
         InputError: the file cannot be written.
     """
     used = [r["subject"] for r in rows if r["status"] == "done" and r["verdict"] != QualityLevel.UNUSABLE.value]
-    files = [file for name in used if (file := folder.out / safe_name(name) / PERSON).is_file()]
-    key = stage_key(people=[file_sha256(file) for file in files])
+    each = {name: file for name in used if (file := folder.out / safe_name(name) / PERSON).is_file()}
+    key = stage_key(people=[[name, file_sha256(file)] for name, file in each.items()])
     with suppress(InputError):
         kept, said = read_people(folder.out / NAME)
         if said == key:
             return kept
-    found = []
-    for file in files:
+    found: dict[str, list[PersonEvidence]] = {}
+    for name, file in each.items():
         with suppress(InputError):
-            found.append(read_person(file))
-    people = people_like(found)
+            found.setdefault(person_of(name), []).append(read_person(file))
+    people = people_like([together(sessions) for sessions in found.values()])
     if people is None:
         (folder.out / NAME).unlink(missing_ok=True)  # of an earlier call with more
     else:
@@ -71,7 +72,7 @@ def people_section(people: People | None) -> Section | None:
         return None
     lines = list(_shares(people))
     apart = [f"{name} {change}" for name, change, clear, *_ in lines if clear]
-    who = f"{plural(people.count, 'session')} of people"
+    who = f"{people.count} people"
     finding = f"{who}: as in the tables." if not apart else f"{who}; against the tables: {', '.join(apart)} of mass."
     table = Table(
         "Of an adult of medium height and mass. Mean of the group with its standard deviation, and what one person has "
@@ -102,7 +103,7 @@ def _shares(people: People) -> Iterator[tuple[str, str, bool, str, str, str, str
     tables = tables_of(_medium(), None, None, None, "unknown")
     (before, _), (after, way) = (tables.at(score) for score in (torch.zeros_like(people.score), people.score))
     before, after = before.reshape(-1, 10), after.reshape(-1, 10)
-    own = torch.diag(varying(people.own).square())
+    own = own_covariance(people.own)
     mean_sd, own_sd = (_share_sd(after, way, covariance) for covariance in (people.covariance - own, own))
     share = [mass(one) / mass(one).sum() for one in (before, after)]
     for k, part in enumerate(PARTS):

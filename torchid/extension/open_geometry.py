@@ -3,7 +3,8 @@
 The inertial fit takes geometry, places of markers, skin and zeros of plates for known. With errors xi of these, whose
 columns G the diagnosis has as nuisances, its estimate moves by J xi with J = (Y' W Y + P^-1)^-1 Y' W G. Markers, and
 what recordings usually have, say of xi a mean m and a covariance S. So J (S + m m') J' is added to the covariance of
-the fit (law of propagation of uncertainty: JCGM 100:2008, 5.1.2). Y is as the fit has it.
+the fit (law of propagation of uncertainty: JCGM 100:2008, 5.1.2). Y is as it was seen: that the fit takes the noise of
+the motion out of it changes J by some parts in ten for the trunk's masses, which is left out.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.config.sections import Subject
 from torchid.conventions import Inertial
 from torchid.diagnosis.columns.assemble import make_design
 from torchid.diagnosis.evidence.model import Identification, LinearModel, make_model
@@ -61,10 +63,19 @@ def _observed(outcome: Outcome, room: Room) -> list[TrialObservation]:
 
 
 def _held_to(outcome: Outcome) -> Mass:
-    """Return the mass that the published fit held to: of a record that was corrected, the corrected one."""
+    """Return the mass that the published fit held to."""
+    return given_mass(outcome.config.inertia, right_subject(outcome), outcome)
+
+
+def right_subject(outcome: Outcome) -> Subject:
+    """Return the subject that the published fit is of: of a record that was corrected, the corrected one.
+
+    Args:
+        outcome: with its verdict, where it has one.
+    """
     found = None if outcome.base is None else outcome.diagnosis
-    config = corrected_config(outcome.config, () if found is None else tuple(c for c in found.causes if c.applied))
-    return given_mass(config.inertia, config.subject, outcome)
+    causes = () if found is None else tuple(c for c in found.causes if c.applied)
+    return corrected_config(outcome.config, causes).subject
 
 
 def open_share(model: LinearModel, mass: Mass) -> Float[Tensor, "params params"]:

@@ -36,6 +36,8 @@ class Identified:
     whitening: Whitening
     rows: int
     """Whitened rows: cosine coefficients below the cut-off, times six."""
+    equations: NormalEquations
+    """Sums that the fit was made of."""
     given_motion: Float[Tensor, "params params"] | None = None
     """Covariance with geometry and motion taken for known; None: the fit's own is that."""
 
@@ -100,7 +102,7 @@ def identify_spectra(
     seen = _sums(by_trial, whitening)
     sums = seen if noise is None else calibrated(seen, noise(whitening), prior.covariance)
     fit = _fit(sums, prior, names, own, mass, com_box, seen)
-    return Identified(fit, whitening, sum(int(part.rows) for part in sums))
+    return Identified(fit, whitening, sum(int(part.rows) for part in sums), sum(sums[1:], sums[0]))
 
 
 def _sums(by_trial: Sequence[Iterable[BlockSpectrum]], whitening: Whitening) -> list[NormalEquations]:

@@ -1,14 +1,15 @@
 """How people of a group differ from tables of anthropometry, in scores: standard deviations of what tables say.
 
-A person has theta = B s + e. The mean s of the group, alike on both sides, is N(0, 1 - r), and each person's own
-e is N(0, r): a person of a group of whom nothing is known scatters as tables have it, whatever r. What a group cannot
-share has r = 1: the total mass, and what makes the left side another than the right one.
+A person has theta = B s + e. The columns of B are orthonormal: what left and right have in common of each unknown, what
+a body has in its middle, lengths, and cuts. The mean s of the group is N(0, 1 - r), and what is each person's own, e,
+is N(0, r) in these directions and N(0, 1) in all others: the total mass, and what makes left other than right. So a
+person of a group of whom nothing is known scatters as tables have it, whatever r.
 """
 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from torchid.model.skeleton import SEGMENTS
@@ -34,7 +35,7 @@ class People:
     covariance: Float[Tensor, "scores scores"]
     """Their covariance."""
     count: int
-    """Sessions that tell it."""
+    """People who tell it."""
     own: float
     """Share r of the tables' variance that is each person's own."""
 
@@ -50,14 +51,21 @@ def shared() -> Float[Tensor, "scores means"]:
                 column = columns.setdefault((part, k), torch.zeros(SCORES, dtype=torch.float64))
                 column[LATENT * segment + k] = -1.0 if right and k in SIDEWAYS else 1.0
     others = torch.eye(SCORES, dtype=torch.float64)[[SCALE, *range(TOTAL + 1, SCORES)]]
-    return torch.cat([torch.stack(list(columns.values())), others]).T
+    found = torch.cat([torch.stack(list(columns.values())), others]).T
+    return found / found.norm(dim=0)
 
 
-def varying(own: float) -> Float[Tensor, " scores"]:
-    """Return the standard deviations of what is each person's own.
+def own_covariance(own: float) -> Float[Tensor, "scores scores"]:
+    """Return the covariance of what is each person's own.
 
     Args:
-        own: share of the variance of what a group may share.
+        own: share r of the variance in the directions that a group may share.
     """
-    alike: Bool[Tensor, " scores"] = shared().any(dim=1)
-    return torch.where(alike, own, 1.0).to(torch.float64).sqrt()
+    B = shared()
+    return torch.eye(SCORES, dtype=torch.float64) - (1.0 - own) * B @ B.mT
+
+
+def axes() -> Float[Tensor, "scores scores"]:
+    """Return orthonormal axes as columns, first as many as B has and in its directions, in which what is each person's
+    own is independent."""
+    return torch.linalg.qr(shared(), mode="complete")[0]

@@ -14,7 +14,7 @@ import torch
 from torchid.config import Config, dump_config
 from torchid.dynamics.rows import residual_rms
 from torchid.errors import ConfigError, DataError, Note
-from torchid.extension.open_geometry import with_open_geometry
+from torchid.extension.open_geometry import right_subject, with_open_geometry
 from torchid.extension.verdict import with_verdict
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
@@ -37,7 +37,7 @@ from torchid.session.laboratory import earlier_sessions
 from torchid.session.opening import open_session, read_each, setup_of
 from torchid.session.other_contacts import refuse_unknown_plates
 from torchid.session.people import people_of, subject_prior
-from torchid.session.person import people_notes
+from torchid.session.person import people_note, person_evidence, unlike_note
 from torchid.session.standing import follow_session
 from torchid.storage.files import file_sha256, write_json, write_text
 from torchid.storage.provenance import provenance, stage_key
@@ -165,7 +165,7 @@ def compute_outcome(
         )
     outcome = Outcome(
         config, session, fit, scaled, cutoff_hz, followed, followed_scaled, prior, prior_scaled,
-        notes=(*session.notes, *fit.notes),
+        notes=(*session.notes, *fit.notes, *people_note(config)),
     )  # fmt: skip
     outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed), *_rate_notes(fit, followed)))
     if not config.inertia.enabled:
@@ -182,7 +182,8 @@ def compute_outcome(
         outcome = with_verdict(outcome, folder, key, progress)
     with folder.timed("deviations"):
         outcome = with_open_geometry(outcome, folder.room)
-        outcome = replace(outcome, notes=(*outcome.notes, *people_notes(outcome)))
+        told = unlike_note(outcome, person_evidence(outcome, right_subject(outcome)))
+        outcome = replace(outcome, notes=(*outcome.notes, *told))
     return _with_forces(outcome, folder), None
 
 

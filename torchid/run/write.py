@@ -14,6 +14,7 @@ from torchid.contact.sharing.records import WrenchSource
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import predict
 from torchid.errors import DataError
+from torchid.extension.open_geometry import right_subject
 from torchid.geometry.tracking import modelled
 from torchid.io.storage import write_storage
 from torchid.kinematics.chain import chain_poses
@@ -88,7 +89,7 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
     if found is not None and found.laboratory is not None:
         kept = SessionEvidence(found.laboratory, tuple(map(laboratory_plate, found.plates)))
         write_netcdf(folder.path(LABORATORY), [laboratory_dataset(kept)])
-    if (person := person_evidence(outcome)) is not None:
+    if (person := person_evidence(outcome, right_subject(outcome))) is not None:
         write_netcdf(folder.path(PERSON), [person_dataset(person)])
     forms = outcome.config.tables
     write_table(results_table(outcome, tables, strides), "results", forms, folder.path)

@@ -5,7 +5,7 @@ information on scores (``model.people``), in which people of different build are
 open (``extension.open_geometry``) is noise of the rows to it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,8 @@ import xarray
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.config import Config
+from torchid.config.sections import Subject
 from torchid.errors import Note
 from torchid.inertia.identify import Identified
 from torchid.inertia.spectrum import cholesky
@@ -22,7 +24,7 @@ from torchid.model.people import SCORES
 from torchid.session.outcome import Outcome
 from torchid.session.people import FORM, numbers_of, people_of
 from torchid.session.unseen import UNSEEN, unseen_mass
-from torchid.wording import number, plural
+from torchid.wording import number
 
 NAME = "person.nc"
 """Of the file in a run's folder."""
@@ -62,11 +64,12 @@ class PersonEvidence:
         return float(at_mean + 0.5 * left.square().sum() - own.diagonal().log().sum())
 
 
-def person_evidence(outcome: Outcome) -> PersonEvidence | None:
+def person_evidence(outcome: Outcome, who: Subject) -> PersonEvidence | None:
     """Return what a session says of its person's body.
 
     Args:
         outcome: up to the deviations of its inertia.
+        who: the subject, on whose tables scores are: of a record that was corrected, the corrected one.
 
     Returns:
         None without an identified body, of a model from a file, under a prior that is not normal, and of a body most of
@@ -77,7 +80,7 @@ def person_evidence(outcome: Outcome) -> PersonEvidence | None:
         return None
     if unseen_mass(outcome.fit, outcome.prior)[0] > UNSEEN:
         return None
-    mean, way = tables_of(outcome.fit.geometry, *config.subject.known).at(torch.zeros(SCORES, dtype=torch.float64))
+    mean, way = tables_of(outcome.fit.geometry, *who.known).at(torch.zeros(SCORES, dtype=torch.float64))
     factor = cholesky(found.fit.prior.covariance)
     information, moment = _told(found, factor)
     away = _white(factor, (mean - found.fit.prior.mean.reshape(-1))[:, None])[:, 0]
@@ -85,51 +88,70 @@ def person_evidence(outcome: Outcome) -> PersonEvidence | None:
     return PersonEvidence(into.mT @ information @ into, into.mT @ (moment - information @ away))
 
 
+def together(sessions: Sequence[PersonEvidence]) -> PersonEvidence:
+    """Return what sessions of one person say: his scores are the same in all.
+
+    Args:
+        sessions: one or more.
+    """
+    information = torch.stack([one.information for one in sessions]).sum(0)
+    return PersonEvidence(information, torch.stack([one.moment for one in sessions]).sum(0))
+
+
 def _white(factor: Wide, x: Float[Tensor, "params _"]) -> Float[Tensor, "params _"]:
     return torch.linalg.solve_triangular(factor, x, upper=False)
 
 
 def _told(found: Identified, factor: Wide) -> tuple[Wide, Float[Tensor, " params"]]:
-    """Information and moment of the rows, in standard deviations of the fit's prior.
+    """Information and moment of the rows about the mean of the fit's prior, in its standard deviations.
 
     With geometry and motion for known these are A = Q diag(a) Q' and b = A x + noise of covariance A. An error of the
     estimate with covariance M, S b where S is the fit's covariance, is one of b with S^-1 M S^-1. So what a^(-1/2) Q' b
     says of x has a^(1/2) Q' for its design, and 1 + N for its noise, N = a^(-1/2) Q' S^-1 M S^-1 Q a^(-1/2).
     """
-    fit, eye = found.fit, torch.eye(len(factor)).to(factor)
+    fit, sums = found.fit, found.equations
+    information = fit.omega_1 * factor.mT @ sums.gram @ factor
+    pull = fit.omega_1 * factor.mT @ (sums.moment - sums.gram @ fit.prior.mean.reshape(-1))
     precise = torch.linalg.inv(_white(factor, _white(factor, found.of_rows).mT))
-    precise = 0.5 * (precise + precise.mT)
-    pull = precise @ _white(factor, (fit.phi - fit.prior.mean).reshape(-1, 1))
     more = _white(factor, _white(factor, fit.covariance - found.of_rows).mT)
-    a, Q = torch.linalg.eigh(precise - fit.omega_2 * eye)
-    some = a > NOTHING * fit.omega_2
+    a, Q = torch.linalg.eigh(0.5 * (information + information.mT))
+    some = a > NOTHING
     root, Q = a[some].sqrt(), Q[:, some]
     whitened = (Q / root).mT
     noise = torch.eye(len(root)).to(root) + whitened @ precise @ more @ precise @ whitened.mT
-    seen = _white(torch.linalg.cholesky(noise), torch.cat([(Q * root).mT, whitened @ pull], 1))
+    seen = _white(torch.linalg.cholesky(noise), torch.cat([(Q * root).mT, (whitened @ pull)[:, None]], 1))
     design, told = seen[:, :-1], seen[:, -1]
     return design.mT @ design, design.mT @ told
 
 
-def people_notes(outcome: Outcome) -> Iterator[Note]:
-    """Yield what is to be known of the people whom a subject was said to be like.
+def people_note(config: Config) -> Iterator[Note]:
+    """Yield what the inertia begins from where that is not the tables alone.
+
+    Args:
+        config: that may name people.
+    """
+    people = people_of(config.model, config.subject)
+    if people is not None:
+        said = f"inertia begins from tables as {people.count} people of a cohort changed them"
+        yield Note(USED, said, str(config.subject.people))
+
+
+def unlike_note(outcome: Outcome, evidence: PersonEvidence | None) -> Iterator[Note]:
+    """Yield that forces speak for the tables alone, against the people whom a subject was said to be like.
 
     Args:
         outcome: up to the deviations of its inertia.
+        evidence: what it says of its person's body; None: nothing.
     """
-    people, evidence = people_of(outcome.config.model, outcome.config.subject), person_evidence(outcome)
+    people = people_of(outcome.config.model, outcome.config.subject)
     if people is None or evidence is None:
         return
     tables = evidence.nats(torch.zeros(SCORES).to(people.score), torch.eye(SCORES).to(people.score))
-    said = f"inertia begins from tables as {plural(people.count, 'session')} of a cohort changed them"
     odds = torch.tensor(tables - evidence.nats(people.score, people.covariance)).exp()
-    source = str(outcome.config.subject.people)
     if odds > UNLIKE_ODDS:
         times = number(odds.clamp(max=MOST_SAID), 0)
-        said += f"; the forces are {times} times as likely under the tables alone: leave subject.people out"
-        yield Note(UNLIKE, said, source)
-    else:
-        yield Note(USED, said, source)
+        said = f"forces are {times} times as likely under the tables alone: leave subject.people out"
+        yield Note(UNLIKE, said, str(outcome.config.subject.people))
 
 
 def person_dataset(evidence: PersonEvidence) -> xarray.Dataset:

@@ -130,7 +130,7 @@ class Estimator:
         self._fit()
 
     def finished(self) -> Identified:
-        """Return what a run on all rows finds; with a half-life, what those find that count.
+        """Return what all rows find, the motion taken for exact; with a half-life, what those find that count.
 
         Raises:
             DataError: there are no rows, or the fit is not accepted.
@@ -144,7 +144,7 @@ class Estimator:
             return identify_spectra([self.blocks], self._names, self.prior, self._options, self._mass, self._box)
         assert self.sums is not None
         fit = fit_inertia(self.sums, self.prior, self._names, self._options, mass=self._mass, com_box=self._box)
-        return Identified(fit, self.whitening, int(self.sums.rows))
+        return Identified(fit, self.whitening, int(self.sums.rows), self.sums)
 
     def _fit(self) -> None:
         """Find the parameters anew, with the noise estimated anew where there is much more than the last time."""
