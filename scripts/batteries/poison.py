@@ -3,7 +3,7 @@
     scripts/module test batteries.poison --seed 5300                          # 60 subjects, two workers
     scripts/module test batteries.poison --seed 5300 --throughput 16          # two workers against one
 
-Three of sixty, by lot, cannot be done: a damaged file, a fit without an end, a recording that exhausts memory. Once a
+Three of sixty, by lot, cannot be done: a damaged file, a fit without an end, a run that exhausts memory. Once a
 third of all are done a worker is killed, once two thirds are, the command; then it is called again. Prints who was not
 done and with what reason, whose work was lost or done twice, and how long it took. ``--throughput`` runs as many sound
 subjects with one worker and with two, one call after the other.
@@ -11,6 +11,7 @@ subjects with one worker and with two, one call after the other.
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,16 +27,19 @@ from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 
 SHORT = SimulateOptions(fit=("squats", "sway_steps"), heldout=("arms",), duration_s=4.0)
-LONG = SimulateOptions(fit=("squats",), heldout=(), duration_s=600.0, rate_hz=500.0)
 QUICK = "\ndiagnosis: {enabled: false}\n"
-ENDLESS = "geometry: {solver: adam, gradient_iterations: 1000000}\n"
+MORE = {"endless": "geometry: {solver: adam, gradient_iterations: 1000000}\n", "hog": "torques: {draws: 4096}\n"}
+"""Of the configs of poison."""
 MEMORY_GB, MINUTES = 1.5, 1.5
 """Choice. What a run may take: a sound one needs half a gibibyte and ten seconds."""
 REASONS = {"damaged": "truncated", "endless": "took longer than", "hog": "needed more than"}
 """Words of the reason that is right for each poison."""
 SHARE = 20
 """Choice. One subject in so many is poison."""
+PEOPLE = 6
+"""Choice. Sound people who are simulated; all others have the files of one of them."""
 LOOK_S = 0.1
+"""Resolution. Time between looks at what is done [s]."""
 
 
 def people(count: int, seed: int, folder: Path) -> dict[str, str]:
@@ -47,14 +51,17 @@ def people(count: int, seed: int, folder: Path) -> dict[str, str]:
     for k in range(count):
         name = f"S{k:03d}"
         kind = poison.get(name)
-        made = simulate_session(LONG if kind == "hog" else SHORT, seed + k, folder / name)
-        assert made.config is not None
-        more = QUICK + (ENDLESS if kind == "endless" else "")
-        made.config.write_text(made.config.read_text() + more)
+        config = folder / name / "config.yaml"
+        if k >= PEOPLE and f"S{k % PEOPLE:03d}" not in poison:
+            shutil.copytree(folder / f"S{k % PEOPLE:03d}", folder / name)
+        else:
+            simulate_session(SHORT, seed + k, folder / name)
+            config.write_text(config.read_text() + QUICK)
+        config.write_text(config.read_text() + MORE.get(kind or "", ""))
         if kind == "damaged":
             file = folder / name / "squats.c3d"
             file.write_bytes(file.read_bytes()[: int(draw.integers(600, file.stat().st_size // 2))])
-        lines.append(f"{name},{made.config.relative_to(folder)},L")
+        lines.append(f"{name},{config.relative_to(folder)},L")
     (folder / "subjects.csv").write_text("\n".join(lines) + "\n")
     return poison
 
