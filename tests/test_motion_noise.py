@@ -15,7 +15,7 @@ from torchid.dynamics.rows import predict
 from torchid.dynamics.whitening import initial_whitening
 from torchid.extension.diagnosing import observe_outcome
 from torchid.inertia.identify import identify_inertia
-from torchid.inertia.reliability import calibrated
+from torchid.inertia.reliability import calibrated, reliability
 from torchid.observation.noise_draws import draw_noise
 from torchid.session import motion_noise as drawn
 from torchid.session.motion_noise import motion_noise
@@ -48,7 +48,8 @@ def test_parameters_are_right_in_the_mean_under_noise_in_the_regressor():
         halves = [NormalEquations.from_rows(*half) for half in zip(seen.chunk(2), F.chunk(2), strict=True)]
         noise = ROWS * torch.diag(size.square())
         errors["plain"].append(solved(halves, covariance) - x)
-        errors["calibrated"].append(solved(calibrated(halves, noise, covariance), covariance) - x)
+        R = reliability(halves, noise, covariance)
+        errors["calibrated"].append(solved([calibrated(one, R) for one in halves], covariance) - x)
     plain, right = (torch.stack(errors[name]).mean(0) for name in ("plain", "calibrated"))
     assert float(right.norm()) < float(plain.norm()) / 3.0
 
@@ -61,11 +62,11 @@ def test_what_rows_say_nothing_of_stays_and_what_is_all_noise_says_nothing():
     sums = NormalEquations.from_rows(Y, Y.sum(1))
     noise = torch.zeros(PARAMETERS, PARAMETERS).double()
     noise[1, 1] = 5.0 * ROWS
-    (found,) = calibrated([sums], noise, covariance)
+    found = calibrated(sums, reliability([sums], noise, covariance))
     assert_close(found.gram[2:, 2:], sums.gram[2:, 2:], rtol=0.1, atol=1e-6 * ROWS)
     assert float(found.gram[0].abs().max()) < 1e-9 * ROWS and float(torch.linalg.eigvalsh(found.gram)[0]) > -1e-9 * ROWS
     assert float(found.gram[1, 1]) < 0.05 * float(sums.gram[1, 1])
-    assert_close(calibrated([sums], 0.0 * noise, covariance)[0].gram, sums.gram)
+    assert_close(reliability([sums], 0.0 * noise, covariance), covariance)
 
 
 def test_blocks_of_a_long_session_stand_for_all_of_it(monkeypatch):

@@ -21,8 +21,8 @@ from torchid.torque.bodies import draw_bodies
 INERTIAL, NUISANCES, KEPT = 20, 4, 40
 
 
-@pytest.mark.parametrize("mass", [None, (70.0, 0.1)])
-def test_what_nuisances_move_an_estimate_by_is_its_share(seed, mass):
+@pytest.mark.parametrize(("mass", "noisy"), [(None, False), ((70.0, 0.1), False), (None, True)])
+def test_what_nuisances_move_an_estimate_by_is_its_share(seed, mass, noisy):
     """Estimates of rows that each draw of the nuisances has made scatter, noise aside, by the share that is said."""
     generator = torch.Generator().manual_seed(seed)
     normal = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)  # noqa: E731
@@ -35,14 +35,16 @@ def test_what_nuisances_move_an_estimate_by_is_its_share(seed, mass):
     model = LinearModel((rows,), prior, design, initial_noise(whitening, 1))
 
     white, _ = Whitening(whitening.covariance)(BlockSpectrum(Y, Y[:, 0], frequency))
-    information = white[:, :INERTIAL].T @ white[:, :INERTIAL] + torch.linalg.inv(factor @ factor.T)
+    R = torch.eye(INERTIAL).double() - (0.3 + 0.1 * normal(INERTIAL, INERTIAL) if noisy else 0.0)
+    Y = white[:, :INERTIAL] @ R
+    information = Y.T @ Y + torch.linalg.inv(factor @ factor.T)
     if mass is not None:
         lever = torch.zeros(INERTIAL).double()
         lever[::10] = 1.0 / mass[1]
         information = information + lever[:, None] * lever
     drawn = white[:, INERTIAL:] @ (scale * normal(4000, NUISANCES)).T
-    moved = torch.linalg.solve(information, white[:, :INERTIAL].T @ drawn)
-    found = open_share(model, mass)
+    moved = torch.linalg.solve(information, Y.T @ drawn)
+    found = open_share(model, mass, R if noisy else None)
     assert_close(found.diagonal().sqrt(), moved.std(1), rtol=0.08, atol=1e-9)
     spread = found.diagonal().sqrt()
     assert_close(found / spread / spread[:, None], torch.corrcoef(moved), rtol=0.0, atol=0.1)

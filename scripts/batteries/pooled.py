@@ -2,11 +2,12 @@
 
     scripts/module test batteries.pooled --seed 5101                    # the six shared children
     scripts/module test batteries.pooled --seed 5101 --simulated 12     # twelve people by lot, of the own simulator
+    scripts/module test batteries.pooled --seed 5101 --simulated 12 --cohorts 20 --kinds none
     scripts/module test batteries.pooled --summary                      # judge again what is kept
 
 Every session is run as recorded and with each fault up to its evidence of the laboratory (``laboratory.nc``), which
 is kept; then the sessions of each fault are pooled. Places, signs and directions are by lot, the same for all sessions
-of a fault. Without a fault, nothing may be named.
+of a fault. Without a fault, nothing may be named. Each of several cohorts has people, places and signs of its own.
 """
 
 import json
@@ -110,12 +111,13 @@ def _truth(truth: Any, centre: Sequence[float] | None) -> dict[str, Any]:
     return {"effect": own.effect, "centre": centre, "parameters": own.parameters}
 
 
-def people(count: int, seed: int, folder: Path) -> list[tuple[RealSession, Path]]:
-    """Simulated sessions, each with the folder of its files; six shared children where none is asked for."""
+def people(count: int, seed: int, folder: Path, first: int = 0) -> list[tuple[RealSession, Path]]:
+    """Simulated sessions from a number on, each with the folder of its files; the shared children where none is asked
+    for."""
     if not count:
         return [(one, DATA) for one in SESSIONS if one.name in CHILDREN]
     found = []
-    for k in range(count):
+    for k in range(first, first + count):
         own = folder / f"person_{k}"
         if not (own / "config.json").is_file():
             made = simulate_session(OPTIONS, seed + k, own)
@@ -194,12 +196,12 @@ def tables(rows: Sequence[dict[str, Any]], evidence: Path) -> Iterator[str]:
         alone = sum(
             any(effect == truth.get("effect") and sure > EVEN for effect, _, sure in r["named"]) for r in own.values()
         )
-        right = not faults if not truth else bool(faults) and all(_is(one, home, truth) for one in faults)
+        right = not faults if not truth else bool(faults) and all(is_planted(one, home, truth) for one in faults)
         yield f"{kind:10s} seed {seed}, {len(own)} sessions: {'right' if right else 'wrong'}: {said}; alone {alone}"
 
 
-def _is(one: SharedFault, home: Laboratory, truth: dict[str, Any]) -> bool:
-    """Whether a fault is what was planted."""
+def is_planted(one: SharedFault, home: Laboratory, truth: dict[str, Any]) -> bool:
+    """Whether a fault is what was planted, at its place."""
     if one.effect != truth.get("effect"):
         return False
     if truth["centre"] is None:
@@ -212,7 +214,7 @@ def _is(one: SharedFault, home: Laboratory, truth: dict[str, Any]) -> bool:
 def _said_of(one: SharedFault, home: Laboratory, truth: dict[str, Any]) -> str:
     """A fault with its confidence and, where it is right, how far its size is off."""
     said = f"{one.effect} ({', '.join(one.where)}) {one.confidence:.2f}"
-    if not _is(one, home, truth):
+    if not is_planted(one, home, truth):
         return said
     for key, true in truth["parameters"].items():
         wanted, value = (
@@ -229,15 +231,20 @@ def main(given: Sequence[str] | None = None) -> None:
     command = Command(
         __doc__, seed=(int, "of places, signs and people (default: drawn)"), jobs=2,
         simulated=(0, "people by lot of the own simulator; 0: the shared children"),
+        cohorts=(1, "so many, with a seed each from the first on"),
         kinds=({"nargs": "+", "default": [UNPLANTED, *KINDS], "metavar": "KIND"}, ", ".join(KINDS)),
         out=(Path("out/pooled"), "folder of evidence and rows"), summary=(False, "only judge what is kept"),
     )  # fmt: skip
     asked = command.asked(given)
     if not asked.summary:
         asked.seed = said_seed(asked.seed)
-        some = {one.name: (one, root) for one, root in people(asked.simulated, asked.seed, asked.out / "people")}
-        every = [Case(name, kind, asked.seed) for kind in asked.kinds for name in some]
-        jobs = {case.key: case for case in every}
+        some: dict[str, tuple[RealSession, Path]] = {}
+        jobs: dict[str, Case] = {}
+        for number in range(asked.cohorts):
+            who = people(asked.simulated, asked.seed, asked.out / "people", number * asked.simulated)
+            some |= {one.name: (one, root) for one, root in who}
+            every = (Case(one.name, kind, asked.seed + number) for kind in asked.kinds for one, _ in who)
+            jobs |= {case.key: case for case in every}
         for number, row in enumerate(
             performed(jobs, partial(perform, some=some, out=asked.out), asked.jobs, asked.out / "rows.jsonl"), 1
         ):

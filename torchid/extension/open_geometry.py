@@ -1,10 +1,10 @@
 """What markers leave open of the geometry, in the deviations of the identified inertia.
 
 The inertial fit takes geometry, places of markers, skin and zeros of plates for known. With errors xi of these, whose
-columns G the diagnosis has as nuisances, its estimate moves by J xi with J = (Y' W Y + P^-1)^-1 Y' W G. Markers, and
-what recordings usually have, say of xi a mean m and a covariance S. So J (S + m m') J' is added to the covariance of
-the fit (law of propagation of uncertainty: JCGM 100:2008, 5.1.2). Y is as it was seen: that the fit takes the noise of
-the motion out of it changes J by some parts in ten for the trunk's masses, which is left out.
+columns G the diagnosis has as nuisances, its estimate moves by J xi with J = (Y' W Y + P^-1)^-1 Y' W G, with Y as the
+fit has it: what rows say of those without noise (``inertia/reliability.py``). Markers, and what recordings usually
+have, say of xi a mean m and a covariance S. So J (S + m m') J' is added to the covariance of the fit (law of
+propagation of uncertainty: JCGM 100:2008, 5.1.2).
 """
 
 from collections.abc import Callable, Sequence
@@ -52,7 +52,7 @@ def with_open_geometry(outcome: Outcome, room: Room = in_memory) -> Outcome:
     design = make_design(observed, (), outcome.fit, outcome.config.diagnosis.thresholds.naming)
     known = Identification(found.fit.prior, found.fit.omega_2, found.whitening, outcome.fit)
     mass = _held_to(outcome)
-    wider = _wider(found.fit, open_share(make_model(observed, design, known), mass), mass)
+    wider = _wider(found.fit, open_share(make_model(observed, design, known), mass, found.reliability), mass)
     return replace(outcome, identified=replace(found, fit=wider, given_motion=found.fit.covariance))
 
 
@@ -78,22 +78,28 @@ def right_subject(outcome: Outcome) -> Subject:
     return corrected_config(outcome.config, causes).subject
 
 
-def open_share(model: LinearModel, mass: Mass) -> Float[Tensor, "params params"]:
+def open_share(
+    model: LinearModel, mass: Mass, reliability: Float[Tensor, "params params"] | None = None
+) -> Float[Tensor, "params params"]:
     """Return what nuisances of a model add to the covariance of the inertial parameters, as far as markers leave them
     open.
 
     Args:
         model: model of nuisances alone, under the noise of the inertial fit.
         mass: what that fit held to.
+        reliability: what its regressors said of those without noise; None: they were taken for exact.
     """
     n, factor, scale = model.design.inertia, model.prior.inertia, model.prior.scale
     seen = fit(model.statistics_without_forces)
     of_forces = fit(model.statistics).information - seen.information
-    own = of_forces[:n, :n] + torch.eye(n).to(factor)
+    R = torch.eye(n).to(factor)
+    if reliability is not None:
+        R = torch.linalg.solve_triangular(factor, reliability @ factor, upper=False)
+    own = R.mT @ of_forces[:n, :n] @ R + torch.eye(n).to(factor)
     if mass is not None:
         lever = factor[Inertial.M :: len(Inertial)].sum(0) / mass[1]
         own = own + lever[:, None] * lever
-    moved = torch.cholesky_solve(of_forces[:n, n:], torch.linalg.cholesky(own))
+    moved = torch.cholesky_solve(R.mT @ of_forces[:n, n:], torch.linalg.cholesky(own))
     left = torch.linalg.solve_triangular(torch.linalg.cholesky(seen.information[n:, n:]), moved.mT, upper=False)
     told = moved @ (model.prior.mean[n:] / scale + seen.mean[n:])
     root = factor @ torch.cat([left.mT, told[:, None]], 1)

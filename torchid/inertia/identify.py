@@ -21,7 +21,7 @@ from torchid.dynamics.whitening import (
 from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.options import IdentifyOptions, InertiaOptions, of_whitened_rows
-from torchid.inertia.reliability import NoiseGram, calibrated
+from torchid.inertia.reliability import NoiseGram, calibrated, reliability
 from torchid.model.model import InertialPrior
 
 ROUNDS = 4
@@ -38,6 +38,8 @@ class Identified:
     """Whitened rows: cosine coefficients below the cut-off, times six."""
     equations: NormalEquations
     """Sums that the fit was made of."""
+    reliability: Float[Tensor, "params params"] | None = None
+    """What the regressors said of those without noise; None: they were taken for exact."""
     given_motion: Float[Tensor, "params params"] | None = None
     """Covariance with geometry and motion taken for known; None: the fit's own is that."""
 
@@ -100,9 +102,10 @@ def identify_spectra(
             ((block, fit.phi.reshape(-1)) for block in chain.from_iterable(by_trial)), determined(fit)
         )
     seen = _sums(by_trial, whitening)
-    sums = seen if noise is None else calibrated(seen, noise(whitening), prior.covariance)
+    R = None if noise is None else reliability(seen, noise(whitening), prior.covariance)
+    sums = seen if R is None else [calibrated(one, R) for one in seen]
     fit = _fit(sums, prior, names, own, mass, com_box, seen)
-    return Identified(fit, whitening, sum(int(part.rows) for part in sums), sum(sums[1:], sums[0]))
+    return Identified(fit, whitening, sum(int(part.rows) for part in sums), sum(sums[1:], sums[0]), R)
 
 
 def _sums(by_trial: Sequence[Iterable[BlockSpectrum]], whitening: Whitening) -> list[NormalEquations]:

@@ -24,10 +24,10 @@ UNTOLD = 1e-3
 """Resolution. Information over the prior's of directions of which rows say nothing: they stay as they are."""
 
 
-def calibrated(
+def reliability(
     sums: Sequence[NormalEquations], noise: Float[Tensor, "params params"], covariance: Float[Tensor, "params params"]
-) -> list[NormalEquations]:
-    """Return the equations of trials on what their regressors say of those without noise.
+) -> Float[Tensor, "params params"]:
+    """Return R, what regressors say of those without noise.
 
     Args:
         sums: of each trial, whitened.
@@ -43,10 +43,15 @@ def calibrated(
     # No regressor is more than all noise, of which some draws tell.
     kept = (axes * (1.0 - share.clamp(0.0, 1.0))) @ axes.mT
     into = torch.linalg.solve_triangular(factor, torch.eye(len(gram)).to(gram), upper=False)
-    R = factor @ torch.linalg.solve_triangular(told.mT, kept @ told.mT @ into, upper=True)
-    return [_through(one, R) for one in sums]
+    return factor @ torch.linalg.solve_triangular(told.mT, kept @ told.mT @ into, upper=True)
 
 
-def _through(sums: NormalEquations, R: Float[Tensor, "params params"]) -> NormalEquations:
+def calibrated(sums: NormalEquations, R: Float[Tensor, "params params"]) -> NormalEquations:
+    """Return equations on what their regressors say of those without noise.
+
+    Args:
+        sums: of rows as they are seen.
+        R: from ``reliability``.
+    """
     gram = R.mT @ sums.gram @ R
     return replace(sums, gram=0.5 * (gram + gram.mT), moment=R.mT @ sums.moment)
