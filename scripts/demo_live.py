@@ -139,7 +139,6 @@ def told(found: dict[str, Any], estimate: dict[str, Any], who: SimulatedSubject)
         one = estimate["segments"][name]
         mass_kg = f"{one['mass_kg']:.2f} ± {one['sd']['mass_kg']:.2f}"
         lines.append(f"{name:14s}{share:8.0%}{guidance['determined'][name]:16.0%}{mass_kg:>18s}{truth[name]:10.2f}")
-    lines.append("(The ± of a segment leaves out what its geometry is off, and how skin slides.)")
     lines.append(f"{'asked for':14s}{'blocks':>8s}{'information [nat]':>19s}{'rise of what is known, mean':>29s}")
     for one in guidance["exercises"]:
         rise = sum(one["progress"].values()) / len(one["progress"])

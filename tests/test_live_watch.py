@@ -29,11 +29,13 @@ def told(given: Trial) -> tuple[Said, Identifier]:
     """The same, and who said it."""
     who, source = subject(), Replay(given, float("inf"))
     intake, follower = Intake(RATE, source.force_rate_hz, 0.5), PostureFollower(who.fit, source.labels)
-    identifier, said = Identifier(who, RATE, source.plates, source.force_rate_hz), []
+    identifier, said = Identifier(who, source.labels, RATE, source.plates, source.force_rate_hz), []
     while (packet := source.take()) is not None:
         placed = intake.place(packet)
         if len(placed.index):
-            identifier.put(placed.index, follower(placed.markers), placed.sample, placed.wrench)
+            identifier.put(
+                placed.index, placed.markers.position, follower(placed.markers), placed.sample, placed.wrench
+            )
             identifier.work()
             said += [(end_s, tuple((one.what, one.where) for one in notices)) for end_s, notices in identifier.watched]
     return said, identifier

@@ -22,6 +22,7 @@ from torchid.diagnosis.evidence.posterior import fit
 from torchid.extension.correction import corrected_config
 from torchid.extension.diagnosing import forceful, observe_outcome, searched
 from torchid.inertia.fit import InertiaFit
+from torchid.inertia.identify import Identified
 from torchid.inertia.posterior import progress_from, uncertainty
 from torchid.observation.trial import TrialObservation
 from torchid.session import Outcome
@@ -35,7 +36,6 @@ Room = Callable[[Sequence[int]], Tensor]
 """Makes zeros of a shape, where columns lie until they are looked at."""
 
 
-@keeping_large()
 def with_open_geometry(outcome: Outcome, room: Room = in_memory) -> Outcome:
     """Return an outcome whose inertia's deviations hold what markers leave open of the geometry.
 
@@ -46,14 +46,29 @@ def with_open_geometry(outcome: Outcome, room: Room = in_memory) -> Outcome:
     """
     if outcome.base is not None:
         outcome = replace(outcome, base=with_open_geometry(outcome.base, room))
-    found = outcome.identified
-    if found is None or not (observed := _observed(outcome, room)):
+    if outcome.identified is None:
         return outcome
+    return replace(outcome, identified=with_geometry_open(outcome, _held_to(outcome), room))
+
+
+@keeping_large()
+def with_geometry_open(outcome: Outcome, mass: Mass, room: Room = in_memory, counted: float = 1.0) -> Identified:
+    """Return the inertia of an outcome with deviations that hold what markers leave open of the geometry.
+
+    Args:
+        outcome: with an inertia; without rows of forces it is returned as it is.
+        mass: what its fit held to.
+        room: as for ``with_open_geometry``.
+        counted: times that each row of forces counts, where some stand for more.
+    """
+    found = outcome.identified
+    assert found is not None
+    if not (observed := _observed(outcome, room)):
+        return found
     design = make_design(observed, (), outcome.fit, outcome.config.diagnosis.thresholds.naming)
     known = Identification(found.fit.prior, found.fit.omega_2, found.whitening, outcome.fit)
-    mass = _held_to(outcome)
-    wider = _wider(found.fit, open_share(make_model(observed, design, known), mass, found.reliability), mass)
-    return replace(outcome, identified=replace(found, fit=wider, given_motion=found.fit.covariance))
+    share = open_share(make_model(observed, design, known), mass, found.reliability, counted)
+    return replace(found, fit=_wider(found.fit, share, mass), given_motion=found.fit.covariance)
 
 
 def _observed(outcome: Outcome, room: Room) -> list[TrialObservation]:
@@ -79,7 +94,7 @@ def right_subject(outcome: Outcome) -> Subject:
 
 
 def open_share(
-    model: LinearModel, mass: Mass, reliability: Float[Tensor, "params params"] | None = None
+    model: LinearModel, mass: Mass, reliability: Float[Tensor, "params params"] | None = None, counted: float = 1.0
 ) -> Float[Tensor, "params params"]:
     """Return what nuisances of a model add to the covariance of the inertial parameters, as far as markers leave them
     open.
@@ -88,10 +103,11 @@ def open_share(
         model: model of nuisances alone, under the noise of the inertial fit.
         mass: what that fit held to.
         reliability: what its regressors said of those without noise; None: they were taken for exact.
+        counted: times that each row of forces counts.
     """
     n, factor, scale = model.design.inertia, model.prior.inertia, model.prior.scale
     seen = fit(model.statistics_without_forces)
-    of_forces = fit(model.statistics).information - seen.information
+    of_forces = counted * (fit(model.statistics).information - seen.information)
     R = torch.eye(n).to(factor)
     if reliability is not None:
         R = torch.linalg.solve_triangular(factor, reliability @ factor, upper=False)

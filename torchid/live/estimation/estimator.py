@@ -16,6 +16,7 @@ from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.identify import Identified, determined, identify_spectra
 from torchid.inertia.options import IdentifyOptions, of_whitened_rows
+from torchid.inertia.reliability import NoiseGram, calibrated, reliability
 from torchid.model.model import InertialPrior
 from torchid.runs import runs
 
@@ -129,8 +130,11 @@ class Estimator:
         self._done = _sum(self._done, self._sums(new))
         self._fit()
 
-    def finished(self) -> Identified:
-        """Return what all rows find, the motion taken for exact; with a half-life, what those find that count.
+    def finished(self, noise: NoiseGram | None = None) -> Identified:
+        """Return what all rows find; with a half-life, what those find that count.
+
+        Args:
+            noise: of the motion in all regressors, which is taken out; None: the motion is taken for exact.
 
         Raises:
             DataError: there are no rows, or the fit is not accepted.
@@ -141,10 +145,19 @@ class Estimator:
                 found="no rows", remedy="Stand and move with both feet on the plates",
             )  # fmt: skip
         if math.isinf(self._half_life_s):
-            return identify_spectra([self.blocks], self._names, self.prior, self._options, self._mass, self._box)
+            return identify_spectra(
+                [self.blocks], self._names, self.prior, self._options, self._mass, self._box, noise
+            )  # fmt: skip
         assert self.sums is not None
-        fit = fit_inertia(self.sums, self.prior, self._names, self._options, mass=self._mass, com_box=self._box)
-        return Identified(fit, self.whitening, int(self.sums.rows), self.sums)
+        seen, R = self.sums, None
+        if noise is not None:
+            every = accumulate(self.blocks, self.whitening)
+            R = reliability([every], noise(self.whitening), self.prior.covariance)
+        sums = seen if R is None else calibrated(seen, R)
+        fit = fit_inertia(
+            sums, self.prior, self._names, self._options, mass=self._mass, com_box=self._box, as_seen=seen
+        )
+        return Identified(fit, self.whitening, int(seen.rows), sums, R)
 
     def _fit(self) -> None:
         """Find the parameters anew, with the noise estimated anew where there is much more than the last time."""

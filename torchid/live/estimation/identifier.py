@@ -9,15 +9,16 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.dynamics.equations_of_motion import wrench_about
-from torchid.dynamics.rows import SHORTEST, WrenchTrial, predict
+from torchid.dynamics.rows import WrenchTrial, predict
+from torchid.extension.open_geometry import with_geometry_open
 from torchid.geometry.result import GeometryFit
-from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
-from torchid.io.resample import to_clock
 from torchid.live.estimation.estimator import Estimator, Gatherer
 from torchid.live.estimation.instruments import InstrumentRows
 from torchid.live.estimation.pose import Postures
+from torchid.live.estimation.stretches import STRETCH_S, Stretches, counted_times, noise_of, outcome_of
 from torchid.live.estimation.watch import Notice, Watch, WatchedBlock
+from torchid.live.estimation.window import Window
 from torchid.live.exercises.guidance import Guide
 from torchid.live.sources.timeline import Timeline
 from torchid.model.model import InertialPrior
@@ -36,9 +37,6 @@ MOST = 16
 LAG_PERIODS = 3.0
 """Derived. How many periods of the filter's cut-off a frame waits for its successors: the spline's memory falls by e in
 0.27 of a period (its slowest poles are those of 1 / (1 + (f / f0)^6), ``Smoother``), so that 2e-5 of it is left."""
-BRIDGED_S = 0.04
-"""Choice. Postures that are missing for no longer are taken on a straight line between their neighbours: a quarter of
-the period of 6 Hz, in which the straight line is wrong by less than the filter takes away."""
 CONTEXT_S = 2.0
 """Choice. What is looked at before a block: a step, in which either foot is down once."""
 
@@ -85,20 +83,31 @@ class Identifier:
     time that the filter remembers on either side.
     """
 
-    def __init__(self, subject: LiveSubject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float) -> None:
-        """Wait for frames."""
+    def __init__(
+        self, subject: LiveSubject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...],
+        force_rate_hz: float
+    ) -> None:  # fmt: skip
+        """Wait for frames.
+
+        Args:
+            labels: of the stream's markers.
+        """
+        self._labels = labels
         self._subject, self._rate, self._plates, self._force_rate = subject, rate_hz, plates, force_rate_hz
         names = subject.fit.model.tree.names
         box = com_boxes(subject.prior) if subject.config.inertia.com_boxes else None
         mass = subject.mass if math.isinf(subject.half_life_s) else None  # that of standing is the mass of then
         options, prior = hold_unseen(subject.config.inertia, subject.prior, subject.fit)
+        self._mass = mass
         self.estimator = Estimator(names, prior, options, mass, box, subject.half_life_s)
         self._block, self._context = round(BLOCK_S * rate_hz), round(CONTEXT_S * rate_hz)
+        self._length = round(STRETCH_S * rate_hz)
         self._lag = round(LAG_PERIODS / subject.cutoff_hz * rate_hz)
         dofs, markers = len(subject.fit.model.tree.dofs), len(subject.fit.attachment.labels)
-        self._q, self._error = Timeline((dofs,)), Timeline((markers,))
+        self._q, self._error, self._position = Timeline((dofs,)), Timeline((markers,)), Timeline((len(labels), 3))
         self._wrench = Timeline((len(plates), 6))
         self._gatherer, self._next = Gatherer(), 0
+        self._stretches, self._stretch, self._used = Stretches(), 0, 0
         self.forces: Reconstructed | None = None
         """Of the last block, where it could be used."""
         self.instruments = InstrumentRows(subject.prior)
@@ -108,16 +117,18 @@ class Identifier:
         """What was wrong in each of the last blocks, by its end [s]."""
 
     def put(
-        self, index: Int[Tensor, " frames"], postures: Postures, sample: Int[Tensor, " samples"],
-        wrench: Float[Tensor, "samples plates 6"],
+        self, index: Int[Tensor, " frames"], position: Float[Tensor, "frames seen 3"], postures: Postures,
+        sample: Int[Tensor, " samples"], wrench: Float[Tensor, "samples plates 6"],
     ) -> None:  # fmt: skip
         """Take in what came.
 
         Args:
+            position: of the stream's markers [m].
             postures: at these frames.
             sample: numbers of force samples.
             wrench: of the plates [N, N m].
         """
+        self._position.put(index, position)
         self._q.put(index, postures.q)
         self._error.put(index, postures.error)
         if self._plates:
@@ -146,7 +157,8 @@ class Identifier:
         return self._q.stop - 1
 
     def finish(self) -> Identified:
-        """Identify from the frames that are left, and from all rows together.
+        """Identify from the frames that are left, and from all rows together, as a run does: the noise of the motion is
+        taken out, and deviations hold what markers leave open of the geometry.
 
         Raises:
             DataError: as ``Estimator.finished``.
@@ -155,7 +167,13 @@ class Identifier:
         if self._q.stop > self._next:
             self._advance(self._q.stop, self._q.stop)
         self._take(None)
-        return self.estimator.finished()
+        if self._q.stop > self._stretch:
+            self._stretches.add(self._window(slice(self._stretch, self._q.stop)))
+        who, each = self._subject, (self._follow(one, f"stretch_{k}") for k, one in enumerate(self._stretches.kept))
+        some = outcome_of(who.config, who.fit, who.prior, who.cutoff_hz, [one for one in each if one is not None])
+        times = counted_times(some, self._used)
+        found = self.estimator.finished(noise_of(some, times))
+        return with_geometry_open(replace(some, identified=found), self._mass, counted=times)
 
     def _advance(self, stop: int, known: int) -> None:
         """Rows of the frames up to ``stop``, from all that is known up to another."""
@@ -164,7 +182,9 @@ class Identifier:
         blocks = [slice(a, min(a + self._block, stop)) for a in range(self._next, stop, self._block)]
         inner = [slice(block.start - first, block.stop - first) for block in blocks]
         rows = None if followed is None else followed.wrench
-        self._take(None if rows is None else rows.frames(slice(inner[0].start, inner[-1].stop)))
+        new = None if rows is None else rows.frames(slice(inner[0].start, inner[-1].stop))
+        self._used += 0 if new is None else int(new.used.sum())
+        self._take(new)
         plates = read if rows is None else rows.motion.smoother(torch.nan_to_num(read))
         for block, part in zip(blocks, inner, strict=True):
             self.forces = None if rows is None else self._reconstructed(rows.frames(part))
@@ -174,8 +194,11 @@ class Identifier:
             seen = WatchedBlock(self._error.get(block), contact, read[part, :, 2], self.instruments.found())
             self.watched.append((block.stop / self._rate, self._watch.after(seen)))
         self._next = stop
-        kept = self._next - self._context
-        for line in (self._q, self._error):
+        while self._next - self._stretch >= self._length:
+            self._stretches.add(self._window(slice(self._stretch, self._stretch + self._length)))
+            self._stretch += self._length
+        kept = min(self._next - self._context, self._stretch)
+        for line in (self._q, self._error, self._position):
             line.forget(kept)
         self._wrench.forget(round(kept / self._rate * self._force_rate))
 
@@ -186,27 +209,31 @@ class Identifier:
 
     def _followed(self, part: slice) -> tuple[Followed | None, Float[Tensor, "frames plates 6"]]:
         """A window as a trial of its own, None where no posture or no force in it is known; and what plates read."""
-        nothing = None, self._q.get(part).new_zeros(part.stop - part.start, len(self._plates), 6)
-        if part.stop - part.start <= SHORTEST or not self._plates:
-            return nothing
-        q, error = _bridged(self._q.get(part), self._error.get(part), round(BRIDGED_S * self._rate))
-        seen = torch.isfinite(error).any(1)
-        if not bool(seen.any()):
-            return nothing
+        found = self._follow(self._window(part), "live")
+        if found is None:
+            return None, self._q.get(part).new_zeros(part.stop - part.start, len(self._plates), 6)
+        trial, followed = found
+        assert trial.forces is not None
+        return followed, trial.forces.wrench
+
+    def _window(self, part: slice) -> Window:
+        """What came in some frames."""
         time = torch.arange(part.start, part.stop, dtype=torch.float64) / self._rate
-        forces = self._forces(time)
-        if forces is None:
-            return nothing
-        trial = Trial("live", Markers((), time, q.new_zeros(len(q), 0, 3)), forces)
-        who = self._subject
+        forces = self._forces(part) if self._plates else None
+        return Window(time, self._q.get(part), self._error.get(part), self._position.get(part), forces)
+
+    def _follow(self, window: Window, name: str) -> tuple[Trial, Followed] | None:
+        """A window as a trial; None where no posture or no force in it is known."""
+        known = window.trial(name, self._labels, self._rate)
+        if known is None:
+            return None
+        (trial, tracked), who = known, self._subject
         short = None if who.weight is None else short_of(who.fit, trial, who.weight, who.prior.mean, who.config.contact)
-        found = follow(
-            who.fit, trial, Tracked(time, _held(q, seen), error, seen), Following.of(who.config, who.cutoff_hz), short
-        )
+        found = follow(who.fit, trial, tracked, Following.of(who.config, who.cutoff_hz), short)
         assert found.wrench is not None
         # Beside a gap, as at an end, a filter knows one side only.
-        beside = dilate(~seen, round(ENDS / found.motion.smoother.cutoff_hz * self._rate))
-        return replace(found, wrench=replace(found.wrench, used=found.wrench.used & ~beside)), forces.wrench
+        beside = dilate(~tracked.observable, round(ENDS / found.motion.smoother.cutoff_hz * self._rate))
+        return trial, replace(found, wrench=replace(found.wrench, used=found.wrench.used & ~beside))
 
     def _reconstructed(self, rows: WrenchTrial) -> Reconstructed | None:
         """Forces of a block; None before anything is identified, and where a foot was off the plates."""
@@ -216,36 +243,8 @@ class Identifier:
         predicted = wrench_about(predict(rows, fit.phi), -rows.motion.q[:, :3])
         return Reconstructed(rows.motion.time[rows.used], rows.wrench[rows.used], predicted[rows.used])
 
-    def _forces(self, time: Float[Tensor, " frames"]) -> Forces | None:
-        """Samples of a window on the clock of its frames."""
-        ends = (float(time[0]) * self._force_rate, float(time[-1]) * self._force_rate)
-        part = slice(max(0, round(ends[0])), round(ends[1]) + 1)
-        wrench = self._wrench.get(part)
-        if not bool(torch.isfinite(wrench).any()):
-            return None
-        own = torch.arange(part.start, part.stop, dtype=torch.float64) / self._force_rate
-        return to_clock(Forces(own, wrench, self._plates), time)
-
-
-def _bridged(q: Tensor, error: Tensor, longest: int) -> tuple[Tensor, Tensor]:
-    """Coordinates and distances with short gaps on straight lines; where an angle changes its turn, it stays a gap."""
-    seen = torch.isfinite(error).any(1)
-    index = torch.arange(len(q))
-    before = torch.where(seen, index, -1).cummax(0).values
-    after = torch.where(seen, index, len(q)).flip(0).cummin(0).values.flip(0)
-    short = ~seen & (before >= 0) & (after < len(q)) & (after - before <= longest + 1)
-    at = short.nonzero()[:, 0]
-    a, b = before[at], after[at]
-    near = ((q[b] - q[a]).abs() < math.pi).all(1)
-    at, a, b = at[near], a[near], b[near]
-    q, error = q.clone(), error.clone()
-    q[at] = torch.lerp(q[a], q[b], ((at - a).to(q) / (b - a).to(q))[:, None])
-    error[at] = error[a]
-    return q, error
-
-
-def _held(q: Float[Tensor, "frames dofs"], seen: Tensor) -> Float[Tensor, "frames dofs"]:
-    """Coordinates, those of frames that are not seen as in the seen frame before, or the first one."""
-    index = torch.arange(len(q))
-    last = torch.where(seen, index, -1).cummax(0).values
-    return q[torch.where(last < 0, int(seen.nonzero()[0]), last)]
+    def _forces(self, part: slice) -> Forces:
+        """Samples of some frames, on their own clock."""
+        first, last = (round(k / self._rate * self._force_rate) for k in (part.start, part.stop - 1))
+        time = torch.arange(max(0, first), last + 1, dtype=torch.float64) / self._force_rate
+        return Forces(time, self._wrench.get(slice(max(0, first), last + 1)), self._plates)

@@ -176,7 +176,7 @@ class ByGeometry:
     ) -> None:  # fmt: skip
         """Begin with nothing; arguments are those of ``Refining``."""
         self.subject, self._labels, self._rate = subject, labels, rate_hz
-        self.identifier = Identifier(subject, rate_hz, plates, force_rate_hz)
+        self.identifier = Identifier(subject, labels, rate_hz, plates, force_rate_hz)
         self._follower = PostureFollower(subject.fit, labels)
         self.past: list[MessagePiece] = []
         """What was taken again, from the stream's beginning on."""
@@ -190,7 +190,7 @@ class ByGeometry:
         if len(piece.index):
             markers = Markers(self._labels, piece.index.to(piece.position) / self._rate, piece.position)
             piece = replace(piece, postures=self._follower.mended(markers, piece.postures.q))
-        self.identifier.put(piece.index, piece.postures, piece.sample, piece.wrench)
+        self.identifier.put(piece.index, piece.position, piece.postures, piece.sample, piece.wrench)
         return piece
 
 

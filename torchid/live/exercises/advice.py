@@ -1,7 +1,7 @@
 """What a subject is asked to do next, and what came of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
@@ -150,11 +150,18 @@ class Adviser:
         return self.advice
 
     def account(self, estimator: Estimator, identified: Identified) -> Account:
-        """Return what each interval has brought, all under the noise and the weights of the end."""
+        """Return what each interval has brought, all under the noise and the weights of the end.
+
+        Of each segment's progress in the end, which is less than that of rows taken for exact, every interval has the
+        part that it has of theirs.
+        """
         guide, omega_2 = self._guide, identified.fit.omega_2
         labels = [self._advised(time_s) for time_s in estimator.times]
         begin = Knowledge.begin(estimator.prior, guide.mass, omega_2)  # of the geometry that was refined
         entries, known = make_ledger(labels, estimator.blocks, identified.whitening, begin)
+        told = torch.stack([one.progress for one in entries]).sum(0)
+        part = identified.fit.progress.segment / told.clamp(min=torch.finfo(told.dtype).tiny)
+        entries = tuple(replace(one, progress=part * one.progress) for one in entries)
         outlook = guide.outlook(guide.information(identified.whitening, self._rate_hz), omega_2)
         return Account(guide.names, entries, outlook.share(known), guide.notes)
 
