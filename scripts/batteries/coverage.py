@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from harness.command import Command, said_seed
 from harness.pool import performed
+from mujoco_laboratory.session import Undone
 
 from batteries.sessions import OWN, Job, written
 from torchid.errors import TorchidError
@@ -48,7 +49,7 @@ def asked(job: Job, out: Path) -> dict[str, Any]:
         with patch("torchid.run.sequence.write_report"):
             outcome = run_experiment(plain)
         truth = json.loads((folder / "truth" / ("subject.json" if job.level == OWN else "truth.json")).read_text())
-    except TorchidError as refused:
+    except (TorchidError, Undone) as refused:
         return {"key": job.key, "kind": job.kind, "level": job.level, "refused": str(refused)}
     finally:
         shutil.rmtree(folder, ignore_errors=True)

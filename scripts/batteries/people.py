@@ -30,6 +30,7 @@ import torch
 from harness.command import DATA, Among, Command, said_seed
 from harness.pool import performed
 from harness.rows import Row
+from mujoco_laboratory.session import Undone
 from planted_faults.real_files import frames_kept, read_recorded, write_session
 from planted_faults.real_sessions import CHILDREN, SESSIONS
 
@@ -104,7 +105,7 @@ def perform(case: Case, out: Path) -> Row:
         }  # fmt: skip
         row["notes"] = [note.message for note in outcome.notes if note.code.startswith("people.")]
         return row | {"found": compared(outcome, truth)}
-    except TorchidError as refused:
+    except (TorchidError, Undone) as refused:
         return row | {"refused": str(refused)}
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -48,6 +48,10 @@ SCALE_ERROR = 0.3
 """Of the recorded mass [kg]."""
 
 
+class Undone(RuntimeError):
+    """No motion that was drawn is one that the person can do."""
+
+
 @dataclass(frozen=True)
 class World:
     """What all trials of a session share."""
@@ -112,7 +116,7 @@ def _trial(world: World, number: int, out: Path) -> dict:
 
 
 def _possible(world: World, number: int, duration: float, key: tuple[int, int]) -> tuple[Script, Balanced]:
-    """Draw motions until the person can do one."""
+    """Draw motions until the person can do one, which raises ``Undone`` where there is none."""
     time = np.arange(-round(MARGIN_S * RATE), round((duration + MARGIN_S) * RATE)) / RATE
     pull = gravity(world.effects, time, number, world.seed)
     for attempt in range(ATTEMPTS):
@@ -131,7 +135,7 @@ def _possible(world: World, number: int, duration: float, key: tuple[int, int]) 
         found = _beyond(world.model, moved.q)
         if not found:
             return script, moved
-    raise RuntimeError(f"{TRIALS[number][0]} with seed {world.seed} cannot be done: {found}")
+    raise Undone(f"{TRIALS[number][0]} with seed {world.seed} cannot be done: {found}")
 
 
 def _beyond(model: mujoco.MjModel, q: np.ndarray) -> str:
