@@ -1,5 +1,8 @@
 """Filters and derivatives: response, ends, gaps, poles."""
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 import roma
@@ -9,7 +12,7 @@ from trees import BASE, Dof
 
 from torchid.model.tree import Body, Tree, Turn
 from torchid.motion import Smoother, choose_cutoff, smooth_motion
-from torchid.motion.rotations import filter_rotation, turns_to_rotation
+from torchid.motion.rotations import filter_rotation, rotation_to_turns, turns_to_rotation
 
 RATE = 100.0
 
@@ -103,3 +106,16 @@ def test_labels_that_jump_do_not_move_the_cutoff() -> None:
     swapped = x.clone()
     swapped[300:450, [0, 1]] = x[300:450, [1, 0]]
     assert choose_cutoff(swapped, 100.0) == pytest.approx(choose_cutoff(x, 100.0), rel=0.1)
+
+
+@pytest.mark.parametrize("axes", list(itertools.permutations(range(3))))
+def test_angles_of_three_axes_make_the_rotation(axes, seed):
+    """At the pole too, whatever the signs of the axes; near angles that were there before, they are those again."""
+    signs = torch.where(torch.rand(3) < 0.5, -1.0, 1.0).tolist()
+    turns = [Turn(axis, row, sign=sign) for row, (axis, sign) in enumerate(zip(axes, signs, strict=True))]
+    q = 2.0 * torch.randn(200, 3, dtype=torch.float64)
+    q[0, 1], q[1, 1], q[2] = 0.5 * math.pi, -0.5 * math.pi, 0.0
+    R = turns_to_rotation(turns, q)
+    found = rotation_to_turns(turns, R, q)
+    assert_close(turns_to_rotation(turns, found), R, rtol=0, atol=1e-12)
+    assert_close(found[2:], q[2:], rtol=0, atol=1e-8)

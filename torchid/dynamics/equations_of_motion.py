@@ -18,9 +18,9 @@ from torch import Tensor
 from torchid.conventions import GRAVITY
 from torchid.kinematics.plan import Plan, plan_tree
 from torchid.kinematics.recursion import BodyMotion, Poses, body_motion, cross, poses
-from torchid.kinematics.rotation import compose
 from torchid.kinematics.tables import Joints, make_joints
 from torchid.model.model import Geometry
+from torchid.model.rotation import compose
 from torchid.model.tree import Tree
 
 

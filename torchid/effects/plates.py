@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import final
 
-import roma
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -21,6 +20,7 @@ from torchid.effects.plate_map import PlateMap, mapped, plate_names, to_plate, t
 from torchid.effects.quantities import DEGREES, ROOM, NamedEffect, length, much, of, vector
 from torchid.effects.scene import PlateFrame, Reading
 from torchid.effects.traits import ColumnNoise, Site
+from torchid.model.rotation import rotation_matrix
 from torchid.wording import stated
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -110,7 +110,7 @@ class PlatePose(PlateMap):
 
     def map(self, bears: Reading, k: int, theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
         (shift, turn), frame = self.split(theta), bears.frames[k]
-        true = PlateFrame(frame.name, frame.p_WF + shift, roma.rotvec_to_rotmat(turn) @ frame.R_WF)
+        true = PlateFrame(frame.name, frame.p_WF + shift, rotation_matrix(turn) @ frame.R_WF)
         return to_world(frame, to_plate(true, bears.wrench[:, k]))
 
     def sentence(self, finding: NamedEffect) -> str:

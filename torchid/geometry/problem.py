@@ -15,9 +15,9 @@ from torch import Tensor
 
 from torchid.kinematics.plan import Plan
 from torchid.kinematics.recursion import Poses, points, poses
-from torchid.kinematics.rotation import after
 from torchid.kinematics.tables import Joints, make_joints
 from torchid.model.model import Geometry, GeometryPrior
+from torchid.model.rotation import after
 from torchid.model.tree import BASE_DOFS
 
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import pytorch_kinematics as pk
-import roma
 import torch
 from jaxtyping import Float
 from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor
 
 from torchid.model.model import Geometry
+from torchid.model.rotation import rotation_matrix
 from torchid.model.tree import BASE_DOFS, Body, Rotation, Tree
 
 
@@ -133,7 +133,7 @@ def _world(chain: ChainMap, q: Tensor, geometry: Geometry) -> Tensor:
 
 def base_transform(q: Float[Tensor, "frames dofs"]) -> Float[Tensor, "frames 4 4"]:
     """X_WR of the root body from the first six coordinates."""
-    R = roma.rotvec_to_rotmat(q[:, 3:BASE_DOFS])
+    R = rotation_matrix(q[:, 3:BASE_DOFS])
     top = torch.cat([R, q[:, :3, None]], dim=2)
     bottom = q.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(len(q), 1, 4)
     return torch.cat([top, bottom], dim=1)

@@ -15,9 +15,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.kinematics.plan import Plan
-from torchid.kinematics.rotation import compose, exp, rodrigues, turned
 from torchid.kinematics.tables import Joints, Tables, make_joints
 from torchid.model.model import Geometry
+from torchid.model.rotation import compose, exp, rodrigues, turned
 from torchid.model.tree import BASE_DOFS
 
 SMALL = 20_000

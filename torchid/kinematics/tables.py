@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.kinematics.plan import Plan, Tilt
-from torchid.kinematics.rotation import generators, rodrigues
 from torchid.model.model import Geometry
+from torchid.model.rotation import generators, rodrigues
 
 EYE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

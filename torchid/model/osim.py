@@ -10,7 +10,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import roma
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -21,6 +20,7 @@ from torchid.model.markup import Element, document, node, plain_name, spelt, wri
 from torchid.model.mechanics import Array, MarkerTable, matrix_to_rpy, phi_to_centre, zero_pose
 from torchid.model.model import Geometry
 from torchid.model.opensim import rotations
+from torchid.model.rotation import rotation_matrix
 from torchid.model.tree import BASE_DOFS, Body, Dof, Tree
 
 VERSION = "40000"
@@ -43,7 +43,7 @@ def osim_names(tree: Tree) -> tuple[str, ...]:
 def osim_coordinates(q: Float[Tensor, "frames dofs"]) -> Float[Tensor, "frames dofs"]:
     """q as coordinates of the written model [m, rad]: rows 3-5 become tilt, list and rotation, without jumps."""
     like = q.new_tensor(R_OW)
-    R = like @ roma.rotvec_to_rotmat(q[:, 3:BASE_DOFS]) @ like.T
+    R = like @ rotation_matrix(q[:, 3:BASE_DOFS]) @ like.T
     tilt = (-R[:, 0, 1]).atan2(R[:, 1, 1])
     sideways = R[:, 2, 1].atan2(R[:, 2, 0].hypot(R[:, 2, 2]))
     turn = (-R[:, 2, 0]).atan2(R[:, 2, 2])

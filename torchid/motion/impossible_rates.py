@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import roma
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.model.rotation import rotation_matrix, rotation_vector
 from torchid.model.tree import Tree
 from torchid.motion.rotations import turns_to_rotation
 
@@ -51,7 +51,7 @@ def impossible_steps(tree: Tree, q: Float[Tensor, "frames dofs"], rate_hz: float
         if not turns and k:
             continue
         if k == 0:
-            step = _turned(roma.rotvec_to_rotmat(q[:, 3:6]))
+            step = _turned(rotation_matrix(q[:, 3:6]))
         elif len(turns) == len(body.turns) == 3:
             step = _turned(turns_to_rotation(turns, q[:, [turn.row for turn in turns]]))
         else:
@@ -64,7 +64,7 @@ def impossible_steps(tree: Tree, q: Float[Tensor, "frames dofs"], rate_hz: float
 
 def _turned(R: Float[Tensor, "frames 3 3"]) -> Float[Tensor, " steps"]:
     """Return the angle of the turn from each frame to the next [rad]."""
-    return roma.rotmat_geodesic_distance(R[:-1], R[1:])
+    return rotation_vector(R[:-1].mT @ R[1:]).norm(dim=1)
 
 
 def frames_of(steps: list[ImpossibleStep], frames: int, rate_hz: float) -> Bool[Tensor, " frames"]:

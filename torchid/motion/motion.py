@@ -8,12 +8,12 @@ accelerations of the bodies, which is all that dynamics sees, therefore do not f
 from dataclasses import dataclass, replace
 
 import numpy as np
-import roma
 import scipy.signal
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.filters import Smoother, differentiate
+from torchid.model.rotation import rotation_matrix, rotation_vector
 from torchid.model.tree import Tree
 from torchid.motion.rotations import AngularMotion, filter_rotation, joint_rates, rotation_to_turns, turns_to_rotation
 
@@ -54,8 +54,8 @@ def smooth_motion(
     rate = smoother.rate_hz
     smooth = smoother(q, weight)
     v, a = differentiate(smooth, rate)
-    base = filter_rotation(roma.rotvec_to_rotmat(q[:, 3:6]), smoother, weight)
-    smooth[:, 3:6], v[:, 3:6], a[:, 3:6] = roma.rotmat_to_rotvec(base.R), base.w, base.alpha
+    base = filter_rotation(rotation_matrix(q[:, 3:6]), smoother, weight)
+    smooth[:, 3:6], v[:, 3:6], a[:, 3:6] = rotation_vector(base.R), base.w, base.alpha
     for k, body in enumerate(tree.bodies):
         turns = tree.own_turns(k)
         if len(turns) == 3 and len(turns) == len(body.turns):

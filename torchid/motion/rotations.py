@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import roma
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.filters import Smoother, differentiate
+from torchid.model.rotation import log, rotation_matrix, unit_quaternion
 from torchid.model.tree import Turn
 
 POLE = 1e-3
@@ -35,14 +35,17 @@ def filter_rotation(
     s = (n * yd).sum(1, keepdim=True)
     nd = (yd - n * s) / r
     ndd = (ydd - nd * s) / r - nd * s / r
-    inverse = roma.quat_conjugation(n)
-    w, alpha = (2.0 * roma.quat_product(x, inverse)[:, :3] for x in (nd, ndd))
-    return AngularMotion(roma.unitquat_to_rotmat(n), w, alpha)
+    return AngularMotion(rotation_matrix(log(n.T).T), _turning(nd, n), _turning(ndd, n))
+
+
+def _turning(x: Float[Tensor, "frames 4"], n: Float[Tensor, "frames 4"]) -> Float[Tensor, "frames 3"]:
+    """2 Im(x n*) of quaternions (vector, scalar)."""
+    return 2.0 * (n[:, 3:] * x[:, :3] - x[:, 3:] * n[:, :3] - torch.linalg.cross(x[:, :3], n[:, :3]))
 
 
 def continuous_quaternion(R: Float[Tensor, "frames 3 3"]) -> Float[Tensor, "frames 4"]:
-    """Unit quaternions (xyzw, as roma) without sign flips along the frames."""
-    n = roma.rotmat_to_unitquat(R)
+    """Unit quaternions (vector, scalar) without sign flips along the frames."""
+    n = unit_quaternion(R)
     flips = (n[1:] * n[:-1]).sum(1) < 0.0
     sign = torch.cat([n.new_ones(1), 1.0 - 2.0 * (torch.cumsum(flips, 0) % 2).to(n)])
     return n * sign[:, None]
@@ -57,7 +60,7 @@ def turns_to_rotation(turns: Sequence[Turn], q: Float[Tensor, "frames turns"]) -
 
 
 def _about_axis(turn: Turn, angle: Float[Tensor, " frames"]) -> Float[Tensor, "frames 3 3"]:
-    """Rotation about an axis of the frame: roma's, of any vector, takes ten times as long for few frames."""
+    """Rotation about an axis of the frame: that of any vector takes ten times as long for few frames."""
     k, i, j = (int(turn.axis + n) % 3 for n in range(3))
     sine, cosine = turn.sign * torch.sin(angle), torch.cos(angle)
     R = angle.new_zeros(len(angle), 3, 3)
@@ -72,13 +75,26 @@ def rotation_to_turns(
 ) -> Float[Tensor, "frames 3"]:
     """Angles of three different axes that make R, on the branch nearest to ``near``."""
     sign = near.new_tensor([turn.sign for turn in turns])
-    convention = "".join("XYZ"[turn.axis] for turn in turns)
-    first = torch.as_tensor(roma.rotmat_to_euler(convention, R))
+    first = _three_angles(tuple(int(turn.axis) for turn in turns), R)
     other = torch.stack([first[:, 0] + torch.pi, torch.pi - first[:, 1], first[:, 2] + torch.pi], dim=1)
     options = torch.stack([first, other]) * sign
     options = options + 2.0 * torch.pi * torch.round((near - options) / (2.0 * torch.pi))
     miss = (options - near).square().sum(2)
     return torch.where((miss[0] <= miss[1])[:, None], options[0], options[1])
+
+
+def _three_angles(axes: tuple[int, ...], R: Float[Tensor, "frames 3 3"]) -> Float[Tensor, "frames 3"]:
+    """Angles about three different axes whose turns, one after the other, make R; the second one's cosine is positive.
+
+    At the pole, where the first and the last turn about one line, any first angle will do, and the last one follows it.
+    """
+    i, j, k = axes
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    a = torch.atan2(-sign * R[:, j, k], R[:, k, k])
+    b = torch.atan2(sign * R[:, i, k], torch.hypot(R[:, j, k], R[:, k, k]))
+    sine, cosine = sign * torch.sin(a), torch.cos(a)
+    c = torch.atan2(sign * (cosine * R[:, j, i] + sine * R[:, k, i]), cosine * R[:, j, j] + sine * R[:, k, j])
+    return torch.stack([a, b, c], 1)
 
 
 def joint_rates(

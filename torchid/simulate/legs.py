@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import roma
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -10,6 +9,7 @@ from torch.nn.functional import conv1d, max_pool1d
 
 from torchid.kinematics.plan import Plan, plan_tree
 from torchid.kinematics.recursion import Poses, cross, poses
+from torchid.model.rotation import rotation_matrix, rotation_vector
 from torchid.model.skeleton import SIDES
 from torchid.model.tree import Tree
 from torchid.simulate.script import FootPath, Script
@@ -41,10 +41,10 @@ def leg_rows(tree: Tree, side: str) -> list[int]:
 
 def foot_pose(path: FootPath, sole: Sole) -> tuple[Float[Tensor, "frames 3 3"], Float[Tensor, "frames 3"]]:
     """Where a foot's axes are: flat, or pitched about the point where it bears."""
-    yaw = roma.rotvec_to_rotmat(path.pitch.new_tensor([0.0, 0.0, path.yaw]))
+    yaw = rotation_matrix(path.pitch.new_tensor([0.0, 0.0, path.yaw]))
     turn = path.pitch[:, None] * path.pitch.new_tensor([0.0, 1.0, 0.0])
     lean = path.roll[:, None] * path.roll.new_tensor([1.0, 0.0, 0.0])
-    pitch = roma.rotvec_to_rotmat(turn) @ roma.rotvec_to_rotmat(lean)
+    pitch = rotation_matrix(turn) @ rotation_matrix(lean)
     zero = torch.zeros_like(path.pitch)
     pivot = torch.stack([path.bearing[:, 0], zero, zero - sole.height], 1)
     moved = pivot - (pitch @ pivot[:, :, None])[:, :, 0]
@@ -100,7 +100,7 @@ def highest(
     The lowest limit within ``CALM_S`` is averaged with weights that vanish at ``CALM_S``, so the mean stays below.
     """
     tree, offset = subject.model.tree, subject.geometry.offset
-    R = roma.rotvec_to_rotmat(q[:, 3:6])
+    R = rotation_matrix(q[:, 3:6])
     limits = []
     for side, ankle in zip(SIDES, ankles, strict=True):
         hip = R @ offset[tree.index(f"thigh_{side}")]
@@ -153,4 +153,4 @@ def _leg_step(plan: Plan, at: Poses, goal: Goal) -> Float[Tensor, "frames 6"]:
 def _foot_error(at: Poses, foot: int, R: Tensor, p: Tensor) -> Float[Tensor, "frames 6"]:
     """Shift and rotation vector in W from the foot to where it should be."""
     now = at.R[foot].permute(2, 1, 0)
-    return torch.cat([p - at.p[foot].T, roma.rotmat_to_rotvec(R @ now.mT)], 1)
+    return torch.cat([p - at.p[foot].T, rotation_vector(R @ now.mT)], 1)

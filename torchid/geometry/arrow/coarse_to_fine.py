@@ -6,11 +6,11 @@ The joint fit alone goes this way; inverse kinematics gains nothing (`docs/decis
 
 from dataclasses import replace
 
-import roma
 import torch
 from torch import Tensor
 
 from torchid.geometry.problem import MarkerProblem, retract
+from torchid.model.rotation import rotation_matrix, rotation_vector
 from torchid.model.tree import BASE_DOFS
 
 STRIDE = 10
@@ -65,8 +65,8 @@ def between(solved: Tensor, few: Tensor, frames: int) -> Tensor:
 def _increment(before: Tensor, after: Tensor) -> Tensor:
     """Return the increment with which ``retract`` leads from ``before`` to ``after``."""
     change = after - before
-    R = roma.rotvec_to_rotmat(after[3:BASE_DOFS].T) @ roma.rotvec_to_rotmat(before[3:BASE_DOFS].T).mT
-    change[3:BASE_DOFS] = roma.rotmat_to_rotvec(R).T
+    R = rotation_matrix(after[3:BASE_DOFS].T) @ rotation_matrix(before[3:BASE_DOFS].T).mT
+    change[3:BASE_DOFS] = rotation_vector(R).T
     return change
 
 

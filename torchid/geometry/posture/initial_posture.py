@@ -6,7 +6,6 @@ A joint's rotation is expressed by those of its equivalent angles that the joint
 
 from dataclasses import replace
 
-import roma
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -14,6 +13,7 @@ from torch import Tensor
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.geometry.problem import MarkerProblem, PosturePrior
 from torchid.kinematics.recursion import poses
+from torchid.model.rotation import nearest_rotation, rotation_vector
 from torchid.model.tree import BASE_DOFS, Tree
 
 ASTRAY = 3.0
@@ -47,7 +47,7 @@ def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Floa
     weight = (problem.weight > 0) * (near * certainty / certainty.max())[:, None]
     seen = weight.sum(0) > 0
     R, t = _procrustes(model, problem.target, torch.where(seen, weight, 1.0))
-    q[:3], q[3:6] = t.T, roma.rotmat_to_rotvec(R).T
+    q[:3], q[3:6] = t.T, rotation_vector(R).T
     return hold(q, seen)
 
 
@@ -57,7 +57,7 @@ def _procrustes(model: Tensor, target: Tensor, weight: Tensor) -> tuple[Tensor, 
     to = target.permute(2, 0, 1)
     centre_m, centre_t = share @ model, (share[:, :, None] * to).sum(1)
     H = torch.einsum("tm,tmi,tmj->tij", share, to - centre_t[:, None], model - centre_m[:, None])
-    R = torch.as_tensor(roma.special_procrustes(H))
+    R = nearest_rotation(H)
     return R, centre_t - (R @ centre_m[:, :, None])[:, :, 0]
 
 

@@ -9,7 +9,6 @@ name, value and sign.
 from dataclasses import dataclass
 from functools import cached_property
 
-import roma
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -19,6 +18,7 @@ from torchid.model.opensim.joint_values import closed, twists, vee, with_pose
 from torchid.model.opensim.model import GROUND, OsimJoint, OsimModel
 from torchid.model.opensim.posing import body_pose, coupled, joint_pose
 from torchid.model.opensim.rotations import R_OW, inverse, pose
+from torchid.model.rotation import rotation_matrix, rotation_vector
 from torchid.model.tree import BASE_DOFS
 
 States = tuple[Float[Tensor, "frames dofs"], Float[Tensor, "frames dofs"], Float[Tensor, "frames dofs"]]
@@ -102,7 +102,7 @@ class OsimBinding:
         alpha = turning + once[:, :3, :3] @ once[:, :3, :3].mT
         rows = [self.model.coordinate_names.index(name) for name in names[BASE_DOFS:]]
         base = (
-            torch.cat([X[:, :3, 3], torch.as_tensor(roma.rotmat_to_rotvec(R))], dim=1),
+            torch.cat([X[:, :3, 3], rotation_vector(R)], dim=1),
             torch.cat([once[:, :3, 3], vee(spin)], dim=1),
             torch.cat([twice[:, :3, 3], vee(alpha)], dim=1),
         )
@@ -123,7 +123,7 @@ class OsimBinding:
         out = self.model.defaults.to(q).expand(len(q), -1).clone()
         rows = [self.model.coordinate_names.index(name) for name in names[BASE_DOFS:]]
         out[:, rows] = q[:, BASE_DOFS:]
-        X_WT = pose(roma.rotvec_to_rotmat(q[:, 3:BASE_DOFS]), q[:, :3])
+        X_WT = pose(rotation_matrix(q[:, 3:BASE_DOFS]), q[:, :3])
         before, behind = self._ends(out)
         out = with_pose(self.model, self.root, inverse(before) @ X_WT @ inverse(behind), out)
         return closed(self.model, coupled(self.model, out))

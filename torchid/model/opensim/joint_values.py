@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 
-import roma
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -12,6 +11,7 @@ from torchid.model.opensim.functions import Function
 from torchid.model.opensim.model import CoordinateKind, OsimJoint, OsimModel
 from torchid.model.opensim.posing import body_poses, joint_pose
 from torchid.model.opensim.rotations import inverse
+from torchid.model.rotation import rotation_vector
 from torchid.model.tree import BASE_DOFS
 
 SQUARE = 1e-9
@@ -38,7 +38,7 @@ def with_pose(
     rows = list(joint.rows)
     for _ in range(STEPS if rows else 0):
         X = _carried(joint, q)
-        turn = torch.as_tensor(roma.rotmat_to_rotvec(step[:, :3, :3] @ X[:, :3, :3].mT))
+        turn = rotation_vector(step[:, :3, :3] @ X[:, :3, :3].mT)
         miss = torch.cat([step[:, :3, 3] - X[:, :3, 3], turn], dim=1)
         columns = twists(lambda x: _carried(joint, x), q, rows)
         change = torch.linalg.lstsq(columns, miss[..., None], driver="gelsd").solution[..., 0]

@@ -1,7 +1,7 @@
-"""Rotations with frames last: rotation vectors, matrices by columns, and their products.
+"""Rotations: rotation vectors, matrices, quaternions and their products, over frames.
 
-roma keeps frames first and spends half a millisecond a call on small operations, which a solver pays in every
-iteration; tests hold both equal.
+Solvers keep frames last, and matrices by their columns; everything else keeps frames first. Tests hold both equal to
+roma, whose import alone takes as long as that of torch.
 """
 
 import math
@@ -13,6 +13,9 @@ from torch import Tensor
 SMALL = 20_000
 """Entries of a result below which one product that is summed beats three strided ones (a third to two thirds of the
 time; above, up to one and a half times it)."""
+
+LEAST = 1e-30
+"""Resolution. Square of an angle from which on its root has a derivative."""
 
 
 def compose(
@@ -62,7 +65,7 @@ def rodrigues(G: Float[Tensor, "n 9 3"], angle: Float[Tensor, "n frames"]) -> Fl
 def exp(r: Float[Tensor, "3 frames"]) -> Float[Tensor, "3 3 frames"]:
     """Columns of the rotation matrix of a rotation vector."""
     squared = (r * r).sum(0)
-    turns = squared.sqrt() / math.pi
+    turns = squared.clamp(min=LEAST).sqrt() / math.pi
     b = 0.5 * torch.sinc(0.5 * turns).square()
     R = torch.addcmul(b * r[:, None] * r, torch.sinc(turns), skew(r))
     return torch.addcmul(R, 1.0 - b * squared, _identity(r)[:, :, None])
@@ -88,3 +91,38 @@ def after(second: Float[Tensor, "3 frames"], first: Float[Tensor, "3 frames"]) -
     a, b = quaternion(second), quaternion(first)
     vector = a[3] * b[:3] + b[3] * a[:3] + torch.linalg.cross(a[:3], b[:3], dim=0)
     return log(torch.cat([vector, (a[3] * b[3] - (a[:3] * b[:3]).sum(0))[None]]))
+
+
+def rotation_matrix(r: Float[Tensor, "*some 3"]) -> Float[Tensor, "*some 3 3"]:
+    """Rotation matrix of a rotation vector; differentiable, at zero too."""
+    return exp(r.reshape(-1, 3).T).permute(2, 1, 0).reshape(*r.shape, 3)
+
+
+def rotation_vector(R: Float[Tensor, "*some 3 3"]) -> Float[Tensor, "*some 3"]:
+    """Rotation vector, of length pi at most, of a rotation matrix."""
+    return log(unit_quaternion(R.reshape(-1, 3, 3)).T).T.reshape(R.shape[:-1])
+
+
+def unit_quaternion(R: Float[Tensor, "frames 3 3"]) -> Float[Tensor, "frames 4"]:
+    """Unit quaternion (vector, scalar) of a rotation matrix, its largest part positive.
+
+    The symmetric matrix is four times the quaternion's dyadic product with itself; the column of its largest diagonal
+    entry loses no digits (Shepperd, J Guid Control 1:223 (1978)).
+    """
+    x, y, z = R.unbind(1)
+    trace = x[:, 0] + y[:, 1] + z[:, 2]
+    B = torch.stack([
+        1.0 + 2.0 * x[:, 0] - trace, x[:, 1] + y[:, 0], x[:, 2] + z[:, 0], z[:, 1] - y[:, 2],
+        x[:, 1] + y[:, 0], 1.0 + 2.0 * y[:, 1] - trace, y[:, 2] + z[:, 1], x[:, 2] - z[:, 0],
+        x[:, 2] + z[:, 0], y[:, 2] + z[:, 1], 1.0 + 2.0 * z[:, 2] - trace, y[:, 0] - x[:, 1],
+        z[:, 1] - y[:, 2], x[:, 2] - z[:, 0], y[:, 0] - x[:, 1], 1.0 + trace,
+    ], 1).view(-1, 4, 4)  # fmt: skip
+    largest = B.diagonal(dim1=1, dim2=2).argmax(1)
+    return torch.nn.functional.normalize(B[torch.arange(len(B), device=R.device), largest], dim=1)
+
+
+def nearest_rotation(M: Float[Tensor, "*some 3 3"]) -> Float[Tensor, "*some 3 3"]:
+    """Rotation R with the largest trace of R' M (Umeyama, IEEE Trans Pattern Anal Mach Intell 13:376 (1991))."""
+    U, _, Vh = torch.linalg.svd(M)
+    hand = torch.linalg.det(U @ Vh)[..., None]
+    return torch.cat([U[..., :2], U[..., 2:] * hand[..., None]], -1) @ Vh
