@@ -32,6 +32,7 @@ from torchid.errors import ConfigError, DataError
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import Identified
 from torchid.inertia.options import InertiaOptions, of_whitened_rows
+from torchid.inertia.reliability import calibrated, reliability
 from torchid.live.estimation.estimator import Estimator
 from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Moment, Pipeline
@@ -156,6 +157,8 @@ def test_faults_of_markers_leave_the_estimate_within_a_standard_deviation(fault,
     found, known = streamed(given, spoil)
     assert known > len(spoilt.time) - 130
     assert off_sd(found, undisturbed()[0]) < 1.0
+    wider = found.fit.sd.phi[:, 0] / undisturbed()[0].fit.sd.phi[:, 0]
+    assert 0.8 < float(wider.min()) and float(wider.max()) < 1.5
 
 
 @pytest.mark.slow
@@ -176,6 +179,8 @@ def test_a_clock_that_is_set_and_markers_that_vanish_cost_no_more_than_their_tim
     found, known = streamed(given, spoil)
     assert known >= undisturbed()[1] - 110
     assert off_sd(found, undisturbed()[0]) < 1.0
+    wider = found.fit.sd.phi[:, 0] / undisturbed()[0].fit.sd.phi[:, 0]
+    assert 0.8 < float(wider.min()) and float(wider.max()) < 1.5
 
 
 @pytest.mark.slow
@@ -242,8 +247,14 @@ def test_with_a_half_life_old_rows_count_less(seed):
     batch = fit_inertia(sum(weighted[1:], weighted[0]), o.prior, names_, options)
     found = estimator.finished()
     assert_close(found.fit.phi, batch.phi, rtol=1e-8, atol=1e-8 * float(batch.phi.abs().max()))
-    exact = estimator.finished(lambda whitening: torch.zeros_like(o.prior.covariance))
-    assert_close(exact.fit.phi, batch.phi, rtol=1e-6, atol=1e-6 * float(batch.phi.abs().max()))
+    every = accumulate(rows, estimator.whitening)
+    noise = 0.2 * every.gram.diagonal().diag()
+    R = reliability([every], noise, o.prior.covariance)
+    without = fit_inertia(calibrated(sum(weighted[1:], weighted[0]), R), o.prior, names_, options)
+    taken_out = estimator.finished(lambda whitening: noise)
+    assert_close(taken_out.fit.phi, without.phi, rtol=1e-8, atol=1e-8 * float(batch.phi.abs().max()))
+    assert float((taken_out.fit.phi - batch.phi).abs().max()) > 1e-3 * float(batch.phi.abs().max())
+    assert estimator.share == pytest.approx(sum(one.rows for one in weighted) / every.rows)
     gone = 0.5 ** (4 * len(blocks) / half_life_s)
     assert abs(float(found.fit.mass.sum() - o.prior.mean[:, 0].sum()) - load) < (0.1 + 2.0 * gone) * load
 

@@ -132,7 +132,7 @@ def recorded(guide: Guide, seed: int) -> list[BlockSpectrum]:
 
 
 def test_the_account_adds_up_to_all_that_is_known(seed):
-    """Nats of all intervals are those of all rows; progress is what the fit says."""
+    """Nats of all intervals are those of all rows; of a smaller progress each has the part that it has of theirs."""
     guide = rehearsed()
     blocks, options = recorded(guide, seed), InertiaOptions(refuse=False)
     estimator, adviser = Estimator(guide.names, guide.prior, options, guide.mass), Adviser(guide, RATE)
@@ -150,8 +150,11 @@ def test_the_account_adds_up_to_all_that_is_known(seed):
     assert sum(one.nats for one in account.entries) == pytest.approx(known.nats, rel=1e-9)
     assert sum(one.blocks for one in account.entries) == len(blocks)
     assert all(one.nats > 0.0 and one.exercise != NOTHING for one in account.entries)
-    progress = torch.stack([one.progress for one in account.entries]).sum(0)
-    assert_close(progress, identified.fit.progress.segment, rtol=1e-6, atol=1e-8)
+    progress = torch.stack([one.progress for one in account.entries])
+    assert_close(progress.sum(0), identified.fit.progress.segment, rtol=1e-6, atol=1e-8)
+    less = replace(identified.fit.progress, segment=0.3 * identified.fit.progress.segment)
+    smaller = adviser.account(estimator, replace(identified, fit=replace(identified.fit, progress=less)))
+    assert_close(torch.stack([one.progress for one in smaller.entries]), 0.3 * progress, rtol=1e-6, atol=1e-8)
     assert set(account.table) == {"determined", "exercises", "notes"} and json.dumps(account.table)
 
 

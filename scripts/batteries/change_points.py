@@ -8,6 +8,7 @@ have the fault, or the other way round. Counted for each fault: how often it is 
 first and last session are right, and within one session.
 """
 
+import zlib
 from collections.abc import Iterator, Sequence
 from datetime import date, timedelta
 from pathlib import Path
@@ -53,7 +54,7 @@ def _off(fault: SharedFault, home: Laboratory, having: Sequence[str]) -> int:
     """Sessions by which the farther end of a fault is wrong."""
     at = {one.name: k for k, one in enumerate(home.visits)}
     ends = (at[fault.first], at[fault.last])
-    true = (min(at[name] for name in having), max(at[name] for name in having))
+    true = (min(at[name] for name in having if name in at), max(at[name] for name in having if name in at))
     return max(abs(own - other) for own, other in zip(ends, true, strict=True))
 
 
@@ -62,7 +63,11 @@ def table(rows: Sequence[Row], evidence: Path, seed: int, draws: int) -> Iterato
     every: list[tuple[str, int]] = []
     for kind, own in dict.fromkeys((row["kind"], row["seed"]) for row in rows if row["kind"] != UNPLANTED):
         faulty, sound = ([r for r in rows if (r["kind"], r["seed"]) == (one, own)] for one in (kind, UNPLANTED))
-        draw = np.random.default_rng((seed, own, len(every)))
+        both = {row["session"] for row in faulty} & {row["session"] for row in sound}
+        if len(both) < 2 * FEWEST:
+            yield f"{kind}, seed {own}: {len(both)} sessions with it and without are too few"
+            continue
+        draw = np.random.default_rng((seed, own, zlib.crc32(kind.encode())))
         found = [drawn(faulty, sound, evidence, draw) for _ in range(draws)]
         every += found
         yield _line(f"{kind}, seed {own}", found)

@@ -7,7 +7,8 @@
 
 Every session is run as recorded and with each fault up to its evidence of the laboratory (``laboratory.nc``), which
 is kept; then the sessions of each fault are pooled. Places, signs and directions are by lot, the same for all sessions
-of a fault. Without a fault, nothing may be named. Each of several cohorts has people, places and signs of its own.
+of a fault. Without a fault, nothing may be named. Each of several cohorts has places and signs of its own, and people
+where these are simulated.
 """
 
 import json

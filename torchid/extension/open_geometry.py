@@ -48,11 +48,11 @@ def with_open_geometry(outcome: Outcome, room: Room = in_memory) -> Outcome:
         outcome = replace(outcome, base=with_open_geometry(outcome.base, room))
     if outcome.identified is None:
         return outcome
-    return replace(outcome, identified=with_geometry_open(outcome, _held_to(outcome), room))
+    return replace(outcome, identified=widened(outcome, _held_to(outcome), room))
 
 
 @keeping_large()
-def with_geometry_open(outcome: Outcome, mass: Mass, room: Room = in_memory, counted: float = 1.0) -> Identified:
+def widened(outcome: Outcome, mass: Mass, room: Room = in_memory, counted: float = 1.0) -> Identified:
     """Return the inertia of an outcome with deviations that hold what markers leave open of the geometry.
 
     Args:

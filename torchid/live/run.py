@@ -101,10 +101,12 @@ def run_live(
         stream = recorded or (_opened(source, speed) if isinstance(source, str) else source)
         refuse_plates(config.contact, stream.plates)
         progress("live", 0.0)
-        performance, identified, guidance, (fit, prior) = _streamed(subject, stream, record, seconds, page, opened)
+        performance, identified, guidance, (fit, prior) = _streamed(
+            subject, stream, record, seconds, page, opened, progress
+        )  # fmt: skip
         table = identified_table(replace(base, fit=fit, prior=prior, identified=identified))
         write_json(folder.path(RESULT), table)
-        progress("live", 1.0)
+        progress("estimate", 1.0)
     total = table["total_mass"]
     return {
         **performance,
@@ -199,7 +201,7 @@ def guided(subject: LiveSubject, possibilities: Possibilities) -> LiveSubject:
 
 def _streamed(
     subject: LiveSubject, source: Source, record: Path | None, seconds: float,
-    page: Callable[[LiveSubject, Source], Display] | None, opened: Callable[[str], None],
+    page: Callable[[LiveSubject, Source], Display] | None, opened: Callable[[str], None], progress: OnStage,
 ) -> tuple[dict[str, Any], Identified, dict[str, Any] | None, tuple[GeometryFit, InertialPrior]]:  # fmt: skip
     stream = (source.labels, source.rate_hz, source.plates, source.force_rate_hz)
     with ExitStack() as stack:
@@ -217,6 +219,8 @@ def _streamed(
         if recorder is not None:
             recorder.close()  # before it is said how far it goes
         performance = pipeline.performance()
+        progress("live", 1.0)
+        progress("estimate", 0.0)
         return performance, pipeline.finish(), pipeline.guidance(), pipeline.geometry
 
 

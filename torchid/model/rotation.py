@@ -80,7 +80,7 @@ def quaternion(r: Float[Tensor, "3 frames"]) -> Float[Tensor, "4 frames"]:
 def log(quaternion: Float[Tensor, "4 frames"]) -> Float[Tensor, "3 frames"]:
     """Rotation vector, of length pi at most, of a unit quaternion."""
     vector, scalar = quaternion[:3], quaternion[3]
-    length = (vector * vector).sum(0).sqrt()
+    length = (vector * vector).sum(0).clamp(min=LEAST).sqrt()
     near = torch.where(scalar < 0, -1.0, 1.0)
     angle = 2.0 * torch.atan2(length, scalar.abs())
     return vector * (near * torch.where(length < 1e-12, 2.0, angle / length.clamp(min=1e-30)))

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.errors import DataError
+from torchid.errors import DataError, TorchidError
 from torchid.inertia.fit import InertiaFit
 from torchid.inertia.identify import Identified
 from torchid.live.estimation.identifier import LiveSubject, Reconstructed
@@ -247,7 +247,7 @@ def _end(own: Refining, adviser: Adviser | None, pipe: Connection) -> None:
     version = own.version
     try:
         identified = own.finish()
-    except DataError as error:
+    except TorchidError as error:
         pipe.send(("failed", (error.code, error.message, error.found, error.remedy)))
         return
     if own.version > version:

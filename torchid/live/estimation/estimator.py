@@ -33,6 +33,8 @@ class Gatherer:
         self._rows: list[tuple[Tensor, Tensor]] = []
         self._frames, self._begun_s = 0, 0.0
         self._rate = self._cutoff_hz = 1.0
+        self.frames = 0
+        """Number of all frames in blocks that are complete."""
 
     def add(self, rows: WrenchTrial) -> list[tuple[float, BlockSpectrum]]:
         """Take in frames that follow the last ones, and return the blocks that are complete, by their middle [s]."""
@@ -58,6 +60,7 @@ class Gatherer:
     def close(self) -> list[tuple[float, BlockSpectrum]]:
         """End the block that grows, and return it where it counts."""
         block, middle_s = self.open, self._begun_s + 0.5 * self._frames / self._rate
+        self.frames += 0 if block is None else self._frames
         self._rows, self._frames = [], 0
         return [] if block is None else [(middle_s, block)]
 
@@ -134,7 +137,8 @@ class Estimator:
         """Return what all rows find; with a half-life, what those find that count.
 
         Args:
-            noise: of the motion in all regressors, which is taken out; None: the motion is taken for exact.
+            noise: of the motion in the regressors of all rows, which is taken out in proportion; None: the motion is
+                taken for exact.
 
         Raises:
             DataError: there are no rows, or the fit is not accepted.
@@ -158,6 +162,12 @@ class Estimator:
             sums, self.prior, self._names, self._options, mass=self._mass, com_box=self._box, as_seen=seen
         )
         return Identified(fit, self.whitening, int(seen.rows), sums, R)
+
+    @property
+    def share(self) -> float:
+        """Return the share of all rows that counts; 1 without a half-life."""
+        every = sum(block.F.numel() for block in self.blocks)
+        return 1.0 if self.sums is None or math.isinf(self._half_life_s) else float(self.sums.rows) / every
 
     def _fit(self) -> None:
         """Find the parameters anew, with the noise estimated anew where there is much more than the last time."""

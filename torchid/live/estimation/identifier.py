@@ -1,5 +1,6 @@
 """From postures and forces of a stream to inertial parameters, a block of frames at a time, a stated delay later."""
 
+import logging
 import math
 from dataclasses import dataclass, replace
 
@@ -10,13 +11,13 @@ from torch import Tensor
 from torchid.config import Config
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import WrenchTrial, predict
-from torchid.extension.open_geometry import with_geometry_open
+from torchid.extension.open_geometry import widened
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified
 from torchid.live.estimation.estimator import Estimator, Gatherer
 from torchid.live.estimation.instruments import InstrumentRows
 from torchid.live.estimation.pose import Postures
-from torchid.live.estimation.stretches import STRETCH_S, Stretches, counted_times, noise_of, outcome_of
+from torchid.live.estimation.stretches import FEWEST_S, STRETCH_S, Stretches, counted, noise_of, outcome_of
 from torchid.live.estimation.watch import Notice, Watch, WatchedBlock
 from torchid.live.estimation.window import Window
 from torchid.live.exercises.guidance import Guide
@@ -30,6 +31,7 @@ from torchid.session.following import ENDS, Following, follow
 from torchid.session.standing import Weight, short_of
 from torchid.session.unseen import hold_unseen
 
+log = logging.getLogger(__name__)
 BLOCK_S = 1.0
 """Choice. Frames whose rows are taken together: a second holds what a body does most slowly, and is soon over."""
 MOST = 16
@@ -107,7 +109,7 @@ class Identifier:
         self._q, self._error, self._position = Timeline((dofs,)), Timeline((markers,)), Timeline((len(labels), 3))
         self._wrench = Timeline((len(plates), 6))
         self._gatherer, self._next = Gatherer(), 0
-        self._stretches, self._stretch, self._used = Stretches(), 0, 0
+        self._stretches, self._stretch, self._used = Stretches(), 0, Timeline(())
         self.forces: Reconstructed | None = None
         """Of the last block, where it could be used."""
         self.instruments = InstrumentRows(subject.prior)
@@ -167,13 +169,14 @@ class Identifier:
         if self._q.stop > self._next:
             self._advance(self._q.stop, self._q.stop)
         self._take(None)
-        if self._q.stop > self._stretch:
-            self._stretches.add(self._window(slice(self._stretch, self._q.stop)))
+        self._keep(slice(self._stretch, self._q.stop))
         who, each = self._subject, (self._follow(one, f"stretch_{k}") for k, one in enumerate(self._stretches.kept))
         some = outcome_of(who.config, who.fit, who.prior, who.cutoff_hz, [one for one in each if one is not None])
-        times = counted_times(some, self._used)
+        times = counted(some, self._gatherer.frames)
         found = self.estimator.finished(noise_of(some, times))
-        return with_geometry_open(replace(some, identified=found), self._mass, counted=times)
+        if not times:
+            log.warning("motion and geometry are taken for exact: of no %.0f s in a row does one count", STRETCH_S)
+        return widened(replace(some, identified=found), self._mass, counted=times * self.estimator.share)
 
     def _advance(self, stop: int, known: int) -> None:
         """Rows of the frames up to ``stop``, from all that is known up to another."""
@@ -183,7 +186,8 @@ class Identifier:
         inner = [slice(block.start - first, block.stop - first) for block in blocks]
         rows = None if followed is None else followed.wrench
         new = None if rows is None else rows.frames(slice(inner[0].start, inner[-1].stop))
-        self._used += 0 if new is None else int(new.used.sum())
+        used = torch.zeros(stop - self._next) if new is None else new.used
+        self._used.put(torch.arange(self._next, stop), used.to(torch.float64))
         self._take(new)
         plates = read if rows is None else rows.motion.smoother(torch.nan_to_num(read))
         for block, part in zip(blocks, inner, strict=True):
@@ -195,12 +199,17 @@ class Identifier:
             self.watched.append((block.stop / self._rate, self._watch.after(seen)))
         self._next = stop
         while self._next - self._stretch >= self._length:
-            self._stretches.add(self._window(slice(self._stretch, self._stretch + self._length)))
+            self._keep(slice(self._stretch, self._stretch + self._length))
             self._stretch += self._length
         kept = min(self._next - self._context, self._stretch)
-        for line in (self._q, self._error, self._position):
+        for line in (self._q, self._error, self._position, self._used):
             line.forget(kept)
         self._wrench.forget(round(kept / self._rate * self._force_rate))
+
+    def _keep(self, stretch: slice) -> None:
+        """Keep a stretch that is over, where enough of it counts."""
+        if float(torch.nan_to_num(self._used.get(stretch)).sum()) >= FEWEST_S * self._rate:
+            self._stretches.add(self._window(stretch))
 
     def _take(self, rows: WrenchTrial | None) -> None:
         """Add the rows of all frames since the last ones; None where there are none."""

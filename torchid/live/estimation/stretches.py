@@ -20,12 +20,14 @@ from torchid.session.motion_noise import MotionNoise, motion_noise
 
 STRETCH_S = 10.0
 """Choice. Duration of a stretch: several steps."""
+FEWEST_S = 1.0
+"""Choice. Of a stretch, what has to count: feet may be on plates only now and then."""
 MOST = 6
-"""Choice. Stretches that are kept: a minute tells the noise to some parts in a hundred, and takes some seconds."""
+"""Choice. Stretches that are kept: a minute tells the noise to some parts in a hundred, and takes some ten seconds."""
 
 
 class Stretches:
-    """Windows of one length that lie evenly over all that came; the longer it lasts, the farther apart."""
+    """Windows of one length that lie evenly over all that counts; the more that is, the farther apart."""
 
     def __init__(self) -> None:
         """Begin with none."""
@@ -33,7 +35,7 @@ class Stretches:
         self._seen, self._apart = 0, 1
 
     def add(self, one: Window) -> None:
-        """Take in the window that follows the last one.
+        """Take in the next window in which enough counts.
 
         Args:
             one: the window.
@@ -63,24 +65,24 @@ def outcome_of(
     return Outcome(config, session, fit, fit, cutoff_hz, followed, followed, prior, prior)
 
 
-def counted_times(stretches: Outcome, frames: int) -> float:
-    """Return how often rows of stretches count, that they stand for all of a stream; 0 where none has any.
+def counted(stretches: Outcome, frames: int) -> float:
+    """Return how often each row of stretches counts, that they stand for all of a stream; 0 where none has any.
 
     Args:
         stretches: as ``outcome_of`` returns them.
         frames: of the stream whose rows count.
     """
     rows = (one.wrench for one in stretches.followed.values())
-    counted = sum(block.stop - block.start for one in rows if one is not None for block in one.blocks())
-    return frames / counted if counted else 0.0
+    own = sum(block.stop - block.start for one in rows if one is not None for block in one.blocks())
+    return frames / own if own else 0.0
 
 
 def noise_of(stretches: Outcome, times: float) -> MotionNoise | None:
-    """Return the noise in the regressors of all frames of a stream; None where no stretch has any.
+    """Return the noise in the regressors of all rows of a stream; None where no stretch has any.
 
     Args:
         stretches: as ``outcome_of`` returns them.
-        times: that their rows count.
+        times: that each of their rows counts.
     """
     found = motion_noise(stretches)
     return None if found is None else replace(found, share=times * found.share)

@@ -46,7 +46,9 @@ class Window:
         seen = torch.isfinite(error).any(1)
         if not bool(seen.any()):
             return None
-        markers = Markers(labels, self.time, self.position)
+        # What no posture explains is no distance of a marker from the model: as where labels are exchanged.
+        known = torch.isfinite(self.error).any(1)
+        markers = Markers(labels, self.time, torch.where(known[:, None, None], self.position, torch.nan))
         tracked = Tracked(self.time, _held(q, seen), error, seen)
         return Trial(name, markers, to_clock(self.forces, self.time)), tracked
 

@@ -19,6 +19,8 @@ LEAVE = 0.25
 something else every second does nothing well."""
 MAINLY = 0.5
 """Choice. An exercise is for the segments that it brings at least this part of what it brings the first of them."""
+NONE = 1e-9
+"""Resolution. Progress that is none: of a segment of which no row tells."""
 NOTHING = "none"
 """Name in the ledger of the time before any advice."""
 
@@ -62,7 +64,7 @@ class AdviceEntry:
     nats: float
     """Information that these added to what was known before [nat]."""
     progress: Float[Tensor, " bodies"]
-    """Likewise, of each segment's progress."""
+    """Its part in each segment's progress."""
 
 
 @dataclass(frozen=True)
@@ -150,17 +152,21 @@ class Adviser:
         return self.advice
 
     def account(self, estimator: Estimator, identified: Identified) -> Account:
-        """Return what each interval has brought, all under the noise and the weights of the end.
+        """Return what each interval has brought, under the noise of the end.
 
-        Of each segment's progress in the end, which is less than that of rows taken for exact, every interval has the
-        part that it has of theirs.
+        Nats and what is known are of motion and geometry taken for exact, as advice is. Of each segment's progress in
+        the end, which is not, every interval has the part that it has of that of exact rows.
+
+        Args:
+            estimator: with all rows.
+            identified: what it ended with.
         """
         guide, omega_2 = self._guide, identified.fit.omega_2
         labels = [self._advised(time_s) for time_s in estimator.times]
         begin = Knowledge.begin(estimator.prior, guide.mass, omega_2)  # of the geometry that was refined
         entries, known = make_ledger(labels, estimator.blocks, identified.whitening, begin)
         told = torch.stack([one.progress for one in entries]).sum(0)
-        part = identified.fit.progress.segment / told.clamp(min=torch.finfo(told.dtype).tiny)
+        part = torch.where(told > NONE, identified.fit.progress.segment / told.clamp(min=NONE), 0.0)
         entries = tuple(replace(one, progress=part * one.progress) for one in entries)
         outlook = guide.outlook(guide.information(identified.whitening, self._rate_hz), omega_2)
         return Account(guide.names, entries, outlook.share(known), guide.notes)
