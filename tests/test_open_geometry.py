@@ -45,7 +45,7 @@ def test_what_nuisances_move_an_estimate_by_is_its_share(seed, mass, noisy):
     drawn = white[:, INERTIAL:] @ (scale * normal(4000, NUISANCES)).T
     moved = torch.linalg.solve(information, Y.T @ drawn)
     found = open_share(model, mass, R if noisy else None)
-    twice = replace(model, rows=(rows, rows), noise=initial_noise(whitening, 2))
+    twice = replace(model, rows=(replace(rows, forces=2 * rows.forces),))
     assert_close(open_share(model, mass, R if noisy else None, 2.0), open_share(twice, mass, R if noisy else None))
     assert_close(found.diagonal().sqrt(), moved.std(1), rtol=0.08, atol=1e-9)
     spread = found.diagonal().sqrt()
