@@ -16,7 +16,7 @@ from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified
 from torchid.live.estimation.estimator import Estimator, Gatherer
 from torchid.live.estimation.instruments import InstrumentRows
-from torchid.live.estimation.pose import Postures
+from torchid.live.estimation.pose import Postures, too_far
 from torchid.live.estimation.stretches import FEWEST_S, STRETCH_S, Stretches, counted, noise_of, outcome_of
 from torchid.live.estimation.watch import Notice, Watch, WatchedBlock
 from torchid.live.estimation.window import Window
@@ -226,10 +226,14 @@ class Identifier:
         return followed, trial.forces.wrench
 
     def _window(self, part: slice) -> Window:
-        """What came in some frames."""
+        """What came in some frames, but for markers that are astray."""
         time = torch.arange(part.start, part.stop, dtype=torch.float64) / self._rate
         forces = self._forces(part) if self._plates else None
-        return Window(time, self._q.get(part), self._error.get(part), self._position.get(part), forces)
+        error, position, fit = self._error.get(part), self._position.get(part), self._subject.fit
+        for label, away in zip(fit.attachment.labels, (error > too_far(fit)).unbind(1), strict=True):
+            if label in self._labels:  # as where labels are exchanged: nothing is to be learnt from these
+                position[away, self._labels.index(label)] = torch.nan
+        return Window(time, self._q.get(part), error, position, forces)
 
     def _follow(self, window: Window, name: str) -> tuple[Trial, Followed] | None:
         """A window as a trial; None where no posture or no force in it is known."""

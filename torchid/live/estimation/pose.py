@@ -52,6 +52,15 @@ class Postures:
         return torch.isfinite(self.error).any(1)
 
 
+def too_far(fit: GeometryFit) -> Float[Tensor, " markers"]:
+    """Return the distance from the model beyond which each marker is astray [m].
+
+    Args:
+        fit: with the scatter of its markers.
+    """
+    return (ASTRAY_SD * fit.sigma).clamp(min=ASTRAY_M)
+
+
 class PostureFollower:
     """Inverse kinematics of a stream at fixed geometry, all frames that came together in one batch."""
 
@@ -153,7 +162,7 @@ class PostureFollower:
         seen, shape = problem.weight > 0, self._prepared.shape
         placed = points(poses(problem.plan, q, shape.joints), problem.body, shape.place)
         error = (placed - problem.target).norm(dim=1)
-        astray = seen & (error > (ASTRAY_SD * self._fit.sigma[:, None]).clamp(min=ASTRAY_M))
+        astray = seen & (error > too_far(self._fit)[:, None])
         spoilt = error.new_zeros(len(problem.plan.order), error.shape[1]).index_add_(0, problem.body, astray.to(error))
         known = (spoilt.max(0).values <= SPARED) & (seen.sum(0) >= FEWEST)
         return torch.where(seen, error, torch.nan), known
