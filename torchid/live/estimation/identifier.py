@@ -39,6 +39,8 @@ MOST = 16
 LAG_PERIODS = 3.0
 """Derived. How many periods of the filter's cut-off a frame waits for its successors: the spline's memory falls by e in
 0.27 of a period (its slowest poles are those of 1 / (1 + (f / f0)^6), ``Smoother``), so that 2e-5 of it is left."""
+TAKEN_FOR_EXACT = "motion and geometry are taken for exact: no stretch of %.0f s has %.0f s with both feet on plates"
+"""Wording. Of a stream without such a stretch."""
 CONTEXT_S = 2.0
 """Choice. What is looked at before a block: a step, in which either foot is down once."""
 
@@ -175,7 +177,7 @@ class Identifier:
         times = counted(some, self._gatherer.frames)
         found = self.estimator.finished(noise_of(some, times))
         if not times:
-            log.warning("motion and geometry are taken for exact: of no %.0f s in a row does one count", STRETCH_S)
+            log.warning(TAKEN_FOR_EXACT, STRETCH_S, FEWEST_S)
         return widened(replace(some, identified=found), self._mass, counted=times * self.estimator.share)
 
     def _advance(self, stop: int, known: int) -> None:
