@@ -30,7 +30,7 @@ from torchid.cohort.task import RunLimits, content, log_path, looks, perform, ro
 from torchid.errors import ConfigError, InputError
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
-from torchid.storage.tables import installed
+from torchid.storage.table_forms import installed
 
 BAIT = '<script>alert("x")</script>'
 QUICK = """

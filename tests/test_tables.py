@@ -16,8 +16,9 @@ from torchid.run.scalars import cycles_table
 from torchid.run.sequence import run_key
 from torchid.run.write import result_names
 from torchid.session.joint_cycles import JointCycles
-from torchid.storage import tables
-from torchid.storage.tables import PACKAGES, Form, write_table
+from torchid.storage import table_forms, tables
+from torchid.storage.table_forms import PACKAGES, Form
+from torchid.storage.tables import write_table
 
 READERS = {"parquet": pd.read_parquet, "xlsx": pd.read_excel}
 CONFIG = "{subject: {name: s}, markers: simulated, simulate: {fit: [squats]}, out: out}"
@@ -55,7 +56,7 @@ def test_a_form_without_its_package_is_refused_before_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: Form
 ) -> None:
     """The error names the package and how it is installed; nothing is begun."""
-    monkeypatch.setattr(tables, "find_spec", lambda name: None)
+    monkeypatch.setattr(table_forms, "find_spec", lambda name: None)
     (tmp_path / "c.yaml").write_text(CONFIG)
     with pytest.raises(ConfigError, match=rf"{PACKAGES[form]}.*torchid\[tables\]") as refused:
         run_experiment(load_config(tmp_path / "c.yaml", [f"tables=[{form}]"]))

@@ -17,7 +17,8 @@ from torchid.cohort.task import TRIES, RunLimits, log_path, perform, stored
 from torchid.errors import ConfigError
 from torchid.storage.files import safe_name, write_text
 from torchid.storage.results import OutputFolder
-from torchid.storage.tables import Form, installed, write_table
+from torchid.storage.table_forms import Form, installed
+from torchid.storage.tables import write_table
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -15,7 +15,7 @@ from torchid.io.files import container_of, is_derivative
 from torchid.io.pairing import is_recording, visible_files
 from torchid.storage.files import safe_name
 from torchid.storage.results import STATE
-from torchid.storage.tables import refuse_missing
+from torchid.storage.table_forms import refuse_missing
 from torchid.wording import listing
 
 PARQUET = ".parquet"

@@ -22,7 +22,7 @@ from torchid.inertia.options import IdentifyOptions
 from torchid.io.mend import ForcesAs, PlateAs
 from torchid.model.tree_of_links import FileScatter
 from torchid.simulate.options import SimulateOptions
-from torchid.storage.tables import Form
+from torchid.storage.table_forms import Form
 
 BUILTIN_MODELS = ("whole_body",)
 MODEL_SUFFIXES = (".urdf", ".xml", ".osim", ".b3d")

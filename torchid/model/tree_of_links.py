@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation as ScipyRotation
 from torch import Tensor
 
 from torchid.bounds import NonNegative, Positive
@@ -19,6 +18,7 @@ from torchid.conventions import INERTIA_PAIRS
 from torchid.errors import InputError, Note
 from torchid.model.mechanics import Array, as_rotation, pseudo_to_phi
 from torchid.model.model import Geometry, GeometryPrior, InertialPrior, Landmark, Model
+from torchid.model.rotation import rotation_vector
 from torchid.model.skeleton import BASE_SD
 from torchid.model.tree import Body, Dof, Slide, Tree, Turn
 
@@ -117,7 +117,7 @@ class _Builder:
 
     def __init__(self, root: PlacedBody) -> None:
         self.bodies = [Body(root.name, -1)]
-        rest = [*root.X_PB[:3, 3], *ScipyRotation.from_matrix(root.X_PB[:3, :3]).as_rotvec()]
+        rest = [*root.X_PB[:3, 3], *rotation_vector(torch.tensor(root.X_PB[:3, :3])).tolist()]
         units = [(axis, "m") for axis in "xyz"] + [(f"r{axis}", "rad") for axis in "xyz"]
         self.dofs = [
             Dof(f"{root.name}_{axis}", unit, rest=float(value), sd=BASE_SD)

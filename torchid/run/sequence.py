@@ -44,7 +44,7 @@ from torchid.storage.provenance import provenance, stage_key
 from torchid.storage.publication import CONFIGS
 from torchid.storage.results import OutputFolder
 from torchid.storage.snapshot import release
-from torchid.storage.tables import refuse_missing
+from torchid.storage.table_forms import refuse_missing
 
 log = logging.getLogger(__name__)
 UNFILTERED_HZ = 20.0

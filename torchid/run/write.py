@@ -39,7 +39,8 @@ from torchid.storage.files import safe_name, write_json
 from torchid.storage.netcdf import write_netcdf
 from torchid.storage.results import OutputFolder
 from torchid.storage.snapshot import release
-from torchid.storage.tables import Form, write_table
+from torchid.storage.table_forms import Form
+from torchid.storage.tables import write_table
 
 PIECE = 8192
 """Frames of a motion file that are put together at a time."""

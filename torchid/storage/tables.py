@@ -1,43 +1,18 @@
 """Tables as statistics programs and spreadsheets take them: CSV, Parquet, Excel."""
 
 from collections.abc import Callable, Iterable
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal
 
 import pandas as pd
 
-from torchid.errors import ConfigError
 from torchid.storage.files import writing
+from torchid.storage.table_forms import Form
 from torchid.wording import clean
 
-Form = Literal["parquet", "xlsx"]
-"""Forms beside CSV in which tables may be written."""
-PACKAGES: dict[Form, str] = {"parquet": "pyarrow", "xlsx": "openpyxl"}
-"""What writes each form; it need not be installed."""
 CELL = 32767
 """Resolution. Letters of a cell of Excel."""
 SHEET = (1 << 20) - 1
 """Resolution. Lines of a sheet of Excel below its head."""
-
-
-def installed(forms: Iterable[Form]) -> tuple[Form, ...]:
-    """Return those forms of tables whose package is installed."""
-    return tuple(form for form in forms if find_spec(PACKAGES[form]) is not None)
-
-
-def refuse_missing(forms: Iterable[Form]) -> None:
-    """Refuse forms of tables whose package is not installed.
-
-    Raises:
-        ConfigError: ``tables.package``.
-    """
-    for form in forms:
-        if form not in installed((form,)):
-            raise ConfigError(
-                "tables.package", f"tables as {form} need the package {PACKAGES[form]}, which is not installed",
-                place="tables", found=form, remedy="pip install 'torchid[tables]', or leave it out: CSV is there",
-            )  # fmt: skip
 
 
 def write_table(table: pd.DataFrame, name: str, forms: Iterable[Form], place: Callable[[str], Path]) -> None:
