@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 import small_session
 import torch
+from test_tracking import pair
 
 from torchid.config import load_config
+from torchid.diagnosis.diagnose import diagnose
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Interval, Place
+from torchid.extension import diagnosing, verdict
 from torchid.extension.diagnosing import diagnose_outcome
 from torchid.extension.swapped_markers import fitted_anew, merged, put_right, relabel
 from torchid.session import Outcome
+from torchid.session.session import look_at_session, session_clusters, taken_out
 from torchid.storage.results import OutputFolder
 
 BENDING = ("marker_swap", "marker_shift", "soft_tissue", "joint_centre_shift", "missing_dof", "plate_gain", "drag")
@@ -109,6 +113,48 @@ def test_a_swap_that_is_taken_back_changes_nothing(fits, tmp_path):
             fits["whole"],
             fits["whole"],
         )
+
+
+@pytest.fixture(scope="module")
+def misnamed(tmp_path_factory) -> Outcome:
+    """Up to the inertia, of recordings in which distances tell that two labels are exchanged throughout a fit trial."""
+    clean = replace(small_session.outcome(), diagnosis=None, base=None)
+    trials, clusters = dict(clean.session.trials), session_clusters(clean.session.assignment)
+    rng = np.random.default_rng([small_session.SEED, 37])
+    name, both = str(rng.choice(sorted(clean.session.role("fit")))), pair(rng, trials, clusters, 3)
+    when = (Interval(name, float(trials[name].markers.time[0]), float(trials[name].markers.time[-1])),)
+    planted = {
+        **trials,
+        name: relabel(trials[name], [cause("marker_swap", tuple(clusters.labels[k] for k in both), when)]),
+    }
+    (found,) = look_at_session(planted, clean.session.assignment)
+    sound, before = taken_out(planted, (found,), lambda trial: trial)
+    session = replace(clean.session, trials=sound, tracking=(found,), as_read=before)
+    wanted = load_config(small_session.config(), [f"diagnosis.include=[{', '.join(BENDING)}]"])
+    with OutputFolder(tmp_path_factory.mktemp("misnamed")) as folder:
+        return fitted_anew(replace(clean, session=session, config=wanted), [], folder, "misnamed", _silent)
+
+
+@pytest.mark.slow
+def test_names_that_distances_tell_are_put_right_before_anything_is_searched(misnamed, tmp_path, monkeypatch):
+    """One search in place of two finds the same; where names are taken back all is searched as it is labelled."""
+    searched, (statement,) = [], misnamed.session.tracking
+
+    def counted(observed, heldout, plates, effects, *others):
+        searched.append(len(effects))
+        return diagnose(observed, heldout, plates, effects, *others)
+
+    monkeypatch.setattr(diagnosing, "diagnose", counted)
+    found = {}
+    for name, back in (("first", False), ("after", True)):
+        if back:
+            monkeypatch.setattr(verdict, "_names_first", lambda *_: None)
+        with OutputFolder(tmp_path / name) as folder:
+            found[name] = verdict.with_verdict(misnamed, folder, name, _silent).diagnosis
+    some = len(BENDING)
+    assert searched == [0, some, some, some]
+    first, after = ([(one.effect, one.where, one.level, one.applied) for one in found[k].causes] for k in found)
+    assert first == after and ("marker_swap", statement.labels, "certain", True) in first
 
 
 def test_doubt_is_that_of_what_is_contradicted_now(swap):

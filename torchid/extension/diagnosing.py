@@ -37,6 +37,7 @@ def diagnose_outcome(
     room: Callable[[Sequence[int]], Tensor] = in_memory,
     panel: Panel | None = None,
     earlier: LaboratoryEvidence | None = None,
+    searching: bool = True,
 ) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
 
@@ -46,6 +47,7 @@ def diagnose_outcome(
             they lie in memory.
         panel: what model-free checks state; None: nothing.
         earlier: what earlier sessions of the laboratory say (``earlier_sessions``); None: nothing.
+        searching: False names only what is known before any search.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
@@ -70,7 +72,16 @@ def diagnose_outcome(
     observed = left or observed
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
     found = diagnose(
-        observed, heldout, plates, effects, known, wanted.max_effects, options, panel, told(outcome), earlier
+        observed,
+        heldout,
+        plates,
+        effects if searching else (),
+        known,
+        wanted.max_effects,
+        options,
+        panel,
+        told(outcome),
+        earlier,
     )
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
     named = {cause.where for cause in found.likely if cause.effect == MOVED.name}

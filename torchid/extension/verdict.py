@@ -1,10 +1,13 @@
 """From an identified body to a verdict, and the model extended by it."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
+from torchid.diagnosis.candidates.marker_faults import EXCHANGED
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.extension.diagnosing import diagnose_outcome
 from torchid.extension.model_free_checks import with_witnesses
+from torchid.extension.other_proofs import marker_faults
 from torchid.extension.publishing import publishable
 from torchid.extension.statements import panel_of
 from torchid.extension.swapped_markers import put_right
@@ -31,16 +34,25 @@ def with_verdict(outcome: Outcome, folder: OutputFolder, key: str, progress: OnS
 
     earlier = earlier_sessions(outcome.config.laboratory, outcome.session)
 
-    def judged(some: Outcome) -> Diagnosis | None:
-        return diagnose_outcome(some, folder.room, panel_of(some), earlier)
+    def judged(some: Outcome, searching: bool = True) -> Diagnosis | None:
+        return diagnose_outcome(some, folder.room, panel_of(some), earlier, searching)
+
+    def put_right_in(some: Outcome) -> tuple[Outcome, Outcome]:
+        return put_right(some, judged, folder, key, progress)
 
     progress("diagnosis", 0.0)
-    verdict = folder.stage("diagnosis", key, lambda: judged(outcome))
+    named = any(one.effect is EXCHANGED for one in marker_faults(outcome))
+    if named and (found := _names_first(outcome, judged, put_right_in, folder, key)) is not None:
+        base, relabelled = found
+    else:
+        verdict = folder.stage("diagnosis", key, lambda: judged(outcome))
+        base = relabelled = replace(outcome, diagnosis=verdict)
+        if verdict is not None and verdict.causes:
+            base, relabelled = put_right_in(base)
     progress("diagnosis", 1.0)
-    published = replace(outcome, diagnosis=verdict)
-    if verdict is None or not verdict.causes:
-        return published
-    published = publishable(*put_right(published, judged, folder, key, progress), folder, key, progress)
+    if base.diagnosis is None or not base.diagnosis.causes:
+        return base
+    published = publishable(base, relabelled, folder, key, progress)
     assert published.diagnosis is not None
     if published.diagnosis.causes:
         with folder.timed("witnesses"):
@@ -48,3 +60,15 @@ def with_verdict(outcome: Outcome, folder: OutputFolder, key: str, progress: OnS
         base = None if published.base is None else replace(published.base, diagnosis=verdict)
         published = replace(published, base=base, diagnosis=verdict)
     return published
+
+
+def _names_first(
+    outcome: Outcome, judged: Callable[[Outcome, bool], Diagnosis | None],
+    put_right_in: Callable[[Outcome], tuple[Outcome, Outcome]], folder: OutputFolder, key: str,
+) -> tuple[Outcome, Outcome] | None:  # fmt: skip
+    """Names that distances alone tell are put right before anything is searched; None where they are taken back."""
+    verdict = folder.stage("diagnosis_names", key, lambda: judged(outcome, False))
+    if verdict is None:
+        return None
+    base, relabelled = put_right_in(replace(outcome, diagnosis=verdict))
+    return None if relabelled is base else (base, relabelled)
