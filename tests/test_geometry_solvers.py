@@ -42,19 +42,24 @@ def leg() -> tuple[Tree, GeometryPrior]:
 @pytest.fixture
 def problem(seed: int) -> tuple[MarkerProblem, torch.Tensor, torch.Tensor]:
     """Four noisy markers a segment; the problem, the true coordinates and the true geometry."""
+    return marked_leg(FRAMES)
+
+
+def marked_leg(frames: int) -> tuple[MarkerProblem, torch.Tensor, torch.Tensor]:
+    """The same in so many frames."""
     tree, prior = leg()
     plan = plan_tree(tree)
     body = torch.arange(4).repeat_interleave(4)
     place = 0.08 * torch.randn(16, 3, dtype=torch.float64)
-    q = 0.4 * torch.randn(len(tree.dofs), FRAMES, dtype=torch.float64)
+    q = 0.4 * torch.randn(len(tree.dofs), frames, dtype=torch.float64)
     xi = torch.cat([prior.mean + prior.sd * torch.randn(6).double(), place.reshape(-1)])
     nothing = q.new_zeros(len(tree.dofs), 1)
     made = MarkerProblem(
         plan=plan,
         geometry=prior,
         body=torch.tensor(plan.position)[body],
-        target=q.new_zeros(16, 3, FRAMES),
-        weight=q.new_full((16, FRAMES), SIGMA**-2),
+        target=q.new_zeros(16, 3, frames),
+        weight=q.new_full((16, frames), SIGMA**-2),
         place=place + LOOSE * torch.randn(16, 3).double(),
         place_sd=torch.full((16, 3), LOOSE, dtype=torch.float64),
         free=torch.arange(16),

@@ -10,7 +10,7 @@ from torchid.errors import DataError, Note
 from torchid.geometry.arrow.solver import OnIteration, Solution, solve_arrow
 from torchid.geometry.attachment import Attachment
 from torchid.geometry.gradient_solvers import solve_adam, solve_lbfgs
-from torchid.geometry.marker_weights import reweighted, stated_sigma
+from torchid.geometry.marker_weights import looseness, reweighted, stated_sigma
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.posture.initial_posture import evenly
 from torchid.geometry.problem import MarkerProblem
@@ -214,5 +214,5 @@ def _run_solver(
 
 def finish_fit(fit: GeometryFit, problem: MarkerProblem, solution: Solution) -> GeometryFit:
     """Return the fit at a solution of the joint problem, with its uncertainty from the chain's Jacobians."""
-    uncertainty = estimate_uncertainty(problem, solution.q, solution.xi, fit.names)
+    uncertainty = estimate_uncertainty(problem, solution.q, solution.xi, fit.names, looseness(fit))
     return replace(fit, xi=solution.xi, solution=solution, uncertainty=uncertainty)

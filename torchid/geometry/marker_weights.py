@@ -69,7 +69,7 @@ def _residual_sigma(
     steps = torch.cat([torch.diff(piece, dim=2) for piece in residual.split(list(lengths), dim=2)], dim=2)
     total, white = (_median_square(x) / (1.0 - lost).clamp(min=0.2) for x in (residual, steps))
     white = torch.minimum(0.5 * white, total)
-    loose = _looseness(fit).square()
+    loose = looseness(fit).square()
     return (white + (total - white) * loose / loose.mean()).sqrt().clamp(min=1e-4)
 
 
@@ -78,8 +78,12 @@ def _median_square(vectors: Float[Tensor, "markers 3 frames"]) -> Float[Tensor, 
     return vectors.square().sum(1).nanmedian() / CHI2_MEDIAN
 
 
-def _looseness(fit: GeometryFit) -> Float[Tensor, " markers"]:
-    """Return how much more than a trunk marker each marker slides: as configured by label, else by its segment."""
+def looseness(fit: GeometryFit) -> Float[Tensor, " markers"]:
+    """Return how much more than a trunk marker each marker slides: as configured by label, else by its segment.
+
+    Args:
+        fit: with its markers and options.
+    """
     given, names = fit.options.sigma_mm, fit.model.tree.names
     if isinstance(given, dict):
         return stated_sigma(fit.attachment, fit.options)

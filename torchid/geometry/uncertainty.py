@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchid.geometry.gradient_solvers import chain_residual
 from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.sliding_skin import SlideSums, slid_covariance, slides_of
 from torchid.kinematics.chain import base_transform, chain_of, chain_transforms
 from torchid.model.tree import BASE_DOFS
 
@@ -43,6 +44,8 @@ class GeometryUncertainty:
     undetermined: tuple[Direction, ...]
     residual: Float[Tensor, "markers 3 frames"]
     """Residuals of the markers through the chain, NaN where missing [m]."""
+    skin_m_rad: float = 0.0
+    """The slide of skin under a marker with an angle of a joint near it, root mean square [m/rad]."""
 
     @property
     def sd(self) -> Float[Tensor, " xi"]:
@@ -52,13 +55,14 @@ class GeometryUncertainty:
 
 def chain_jacobian(
     problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]
-) -> tuple[Float[Tensor, "frames rows dofs"], Float[Tensor, "frames rows xi"]]:
+) -> tuple[Float[Tensor, "frames rows dofs"], Float[Tensor, "frames rows xi"], Float[Tensor, "frames markers 3 3"]]:
     """Return the derivatives of marker positions with respect to motion and xi.
 
     The base's rotation is differentiated by a turn in W about its origin.
 
     Returns:
-        Two Jacobians, whose rows are the markers' coordinates, marker by marker, x y z.
+        Two Jacobians, whose rows are the markers' coordinates, marker by marker, x y z; and the orientations R_WB of
+        the markers' segments.
     """
     geometry, place = problem.split(xi)
     tree = problem.plan.tree
@@ -80,7 +84,8 @@ def chain_jacobian(
     J_q = tree.fold(q, raw[:, :, :n].permute(2, 1, 0)).permute(2, 1, 0).clone()
     J_g = raw[:, :, n:] @ problem.geometry.map
     J_q[:, :, :BASE_DOFS] = _base_columns(p - q[:3].T[:, None])
-    return J_q, torch.cat([J_g, _place_columns(problem, X[:, frame, :3, :3])], dim=2)
+    R_WB = X[:, frame, :3, :3]
+    return J_q, torch.cat([J_g, _place_columns(problem, R_WB)], dim=2), R_WB
 
 
 def _base_columns(arm: Tensor) -> Tensor:
@@ -105,6 +110,7 @@ def estimate_uncertainty(
     q: Float[Tensor, "dofs frames"],
     xi: Float[Tensor, " xi"],
     names: tuple[str, ...],
+    loose: Float[Tensor, " markers"],
 ) -> GeometryUncertainty:
     """Return the posterior of xi, the directions left to the prior, and the residuals of the chain.
 
@@ -113,36 +119,49 @@ def estimate_uncertainty(
         q: coordinates at the solution.
         xi: geometry and marker places at the solution.
         names: names of all entries of xi.
+        loose: how far skin slides under each marker, beside others.
     """
     residual = chain_residual(problem, q, xi)
     _, weight = problem.robust_cost(residual)
     frames = q.shape[1]
     index = torch.linspace(0, frames - 1, min(frames, SAMPLED), device=q.device).round().long()
-    information = xi.new_zeros(len(xi), len(xi))
+    body = [problem.plan.order[k] for k in problem.body.tolist()]
+    slides = slides_of(problem.plan.tree, body, q, loose)
+    information, sums = xi.new_zeros(len(xi), len(xi)), SlideSums.nothing(slides, len(xi))
     for part in index.split(CHUNK):
-        W = weight[:, part].T.repeat_interleave(3, dim=1)
-        information += _reduced_information(problem.frames(part), q[:, part], xi, W)
-    information *= frames / len(index)
+        information += _add_frames(problem, q, xi, weight, part, sums)
+    factor = frames / len(index)
+    information *= factor
     prior = problem.xi_precision
     covariance = torch.linalg.inv(information + torch.diag(prior))
+    covariance = 0.5 * (covariance + covariance.T)
+    moment = slides.moment(problem.residual(q, xi)[0].R[problem.body], weight, residual)
+    slid, skin = slid_covariance(sums.scaled(factor), moment, covariance)
     return GeometryUncertainty(
-        covariance=0.5 * (covariance + covariance.T),
+        covariance=covariance + slid,
         undetermined=_undetermined(information, prior.rsqrt(), names),
         residual=torch.where(problem.weight[:, None] > 0, residual, torch.nan),
+        skin_m_rad=skin,
     )
 
 
-def _reduced_information(problem: MarkerProblem, q: Tensor, xi: Tensor, W: Tensor) -> Tensor:
-    """Return the information (xi, xi) of some frames with weights W (frames, rows), their motion eliminated."""
-    J_q, J_x = chain_jacobian(problem, q, xi)
+def _add_frames(
+    problem: MarkerProblem, q: Tensor, xi: Tensor, weight: Tensor, part: Tensor, sums: SlideSums
+) -> Float[Tensor, "xi xi"]:
+    """Return the information on xi of some frames, their motion eliminated, and add what they say of slides."""
+    few = problem.frames(part)
+    J_q, J_x, R_WB = chain_jacobian(few, q[:, part], xi)
+    W = weight[:, part].T.repeat_interleave(3, dim=1)
     WJ_q, WJ_x = W[:, :, None] * J_q, W[:, :, None] * J_x
     H = J_q.mT @ WJ_q
-    _, _, curvature = problem.posture.pull(q)
+    _, _, curvature = few.posture.pull(q[:, part])
     torch.diagonal(H, dim1=1, dim2=2).add_(curvature.T)
     scale = torch.diagonal(H, dim1=1, dim2=2).amax(1, keepdim=True)
     torch.diagonal(H, dim1=1, dim2=2).add_(1e-10 * scale + 1e-12)
-    V = torch.linalg.solve_triangular(torch.linalg.cholesky(H), WJ_q.mT @ J_x, upper=False)
-    return (J_x.mT @ WJ_x - V.mT @ V).sum(0)
+    V = torch.linalg.solve_triangular(torch.linalg.cholesky(H), WJ_q.mT, upper=False)
+    score = WJ_x - V.mT @ (V @ J_x)
+    sums.add(part, R_WB.mT, weight[:, part].T, V, score)
+    return (J_x.mT @ score).sum(0)
 
 
 def _undetermined(information: Tensor, sd: Tensor, names: tuple[str, ...]) -> tuple[Direction, ...]:

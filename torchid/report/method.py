@@ -19,6 +19,11 @@ METHODS = (
     "Weights by evidence: MacKay, Neural Computation 4(3), 1992",
 )
 
+SKIN = (
+    "Skin slides by {} mm with a radian of a joint near it, in the root mean square over markers; ± holds what that "
+    "leaves open."
+)
+"""Wording. Below the table of parameters."""
 STAGES = (
     ("read", "Reading the recordings"),
     ("geometry", "Fit of the geometry"),
@@ -183,4 +188,6 @@ def _parameters(outcome: Outcome) -> Table:
         factor, shown = (1e3, "mm") if unit == "m" else (57.29577951308232, "°") if unit == "rad" else (1.0, unit)
         digits = [number(x, 1, factor) for x in (fit.xi[k], sd[k], fit.prior.mean[k], fit.prior.sd[k])]
         rows.append((clean(name), shown, *digits))
-    return Table("", ("Parameter", "Unit", "Identified", "±", "Prior", "±"), tuple(rows), text=2, wrap=True)
+    slides = 0.0 if fit.uncertainty is None else fit.uncertainty.skin_m_rad
+    caption = SKIN.format(number(slides, 1, 1e3)) if slides else ""
+    return Table(caption, ("Parameter", "Unit", "Identified", "±", "Prior", "±"), tuple(rows), text=2, wrap=True)

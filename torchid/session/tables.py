@@ -77,6 +77,7 @@ def _geometry(outcome: Outcome) -> dict[str, Any]:
             for k, label in enumerate(fit.attachment.labels)
         },
         "undetermined": directions,
+        "skin_mm_per_rad": None if fit.uncertainty is None else 1e3 * fit.uncertainty.skin_m_rad,
         "marker_rmse_mm": {name: marker_errors(outcome, name) for name in outcome.session.trials},
         "solver": fit.options.solver,
         "converged": None if fit.solution is None else fit.solution.converged,
