@@ -16,14 +16,16 @@ from torchid.cohort.people import FEWEST, OWN, people_like
 from torchid.cohort.people_section import cohort_people, people_section
 from torchid.config.sections import Subject
 from torchid.errors import ConfigError, InputError
+from torchid.extension.block_errors import HELD_OUT
 from torchid.extension.open_geometry import with_open_geometry
+from torchid.extension.people_or_tables import growth, people_or_tables
 from torchid.model.anthropometry import inertial_prior, tables_of
 from torchid.model.model import Geometry
 from torchid.model.people import PARTS, SCORES, TOTAL, People, own_covariance, shared
 from torchid.model.pseudo import com, mass
 from torchid.model.whole_body import whole_body
 from torchid.session import Outcome
-from torchid.session.fitting import given_mass
+from torchid.session.fitting import given_mass, identify
 from torchid.session.people import people_dataset, people_of, read_people, subject_prior
 from torchid.session.person import (
     PersonEvidence,
@@ -182,6 +184,42 @@ def test_a_run_tells_what_its_prior_is_and_when_it_is_unlike(tmp_path):
         assert [one.code for one in others] == [code] * (code == "people.unlike")
         prior = subject_prior("whole_body", who, outcome.fit)
         assert float((prior.mean - outcome.prior.mean).abs().max()) > 1e-3
+
+
+def test_people_who_make_predictions_worse_are_left(tmp_path):
+    """People like the subject are begun from; with others tables alone stand, in the config of what follows, too."""
+    outcome = replace(small.outcome(), diagnosis=None, base=None)
+    tables = tables_of(outcome.fit.geometry, *outcome.config.subject.known)
+    mean, way = tables.at(torch.zeros(SCORES).double())
+    true = torch.linalg.pinv(way, rtol=1e-3) @ (small.session().subject.phi.flatten() - mean)
+    sure = 0.05 * torch.eye(SCORES).double()
+    for name, score, kept in (("like", true, True), ("unlike", -3.0 * true, False)):
+        path = tmp_path / f"{name}.nc"
+        write_netcdf(path, [people_dataset(People(score, sure, 5, 0.05))])
+        who = outcome.config.subject.model_copy(update={"people": path})
+        config = outcome.config.model_copy(update={"subject": who})
+        prior = subject_prior(config.model, who, outcome.fit)
+        begun = replace(outcome, config=config, prior=prior, notes=tuple(people_note(config)))
+        begun = replace(begun, identified=identify(config.inertia, who, begun, quiet))
+        with OutputFolder(tmp_path / name) as folder:
+            found = people_or_tables(begun, folder, "key", quiet)
+        (note,) = found.notes
+        assert note.code == ("people.used" if kept else "people.left"), note
+        assert (found.identified is begun.identified) == (found.config.subject.people is not None) == kept
+        worse = [one for one in growth(small.outcome(), begun) if one.worse]
+        assert bool(worse) != kept and {one.where for one in growth(outcome, begun)} == {HELD_OUT}
+        if not kept:
+            assert_close(found.phi, exact_again(outcome), rtol=1e-6, atol=1e-6)
+            assert "held-out" in note.message and "5 people" in note.message
+
+
+def exact_again(outcome: Outcome) -> torch.Tensor:
+    """The inertia that tables alone give."""
+    return identify(outcome.config.inertia, outcome.config.subject, outcome, quiet).fit.phi
+
+
+def quiet(stage: str, fraction: float) -> None:
+    """No bar."""
 
 
 def test_files_that_are_none_are_refused(tmp_path):

@@ -45,7 +45,7 @@ from torchid.model.people import People, own_covariance, shared
 from torchid.model.pseudo import com, mass
 from torchid.run import run_experiment
 from torchid.session.people import people_dataset
-from torchid.session.person import NAME, UNLIKE, read_person
+from torchid.session.person import LEFT, NAME, UNLIKE, read_person
 from torchid.session.tables import heldout_errors
 from torchid.storage.netcdf import write_netcdf
 
@@ -130,7 +130,7 @@ def perform_child(name: str, like: bool, out: Path) -> Row:
         (out / "evidence").mkdir(parents=True, exist_ok=True)
         shutil.copy(config.out / NAME, out / "evidence" / f"{name}.nc")
     shutil.rmtree(folder, ignore_errors=True)
-    return row | heldout_errors(outcome) | {"notes": [n.message for n in outcome.notes if n.code == UNLIKE]}
+    return row | heldout_errors(outcome) | {"notes": [n.message for n in outcome.notes if n.code in (LEFT, UNLIKE)]}
 
 
 def children(jobs: int, out: Path) -> Iterator[str]:
@@ -214,7 +214,7 @@ def main() -> None:
     later = [Case(g, seed, k, True) for g in asked.groups for k in range(asked.before, asked.before + asked.after)]
     rows += performed({c.key: c for c in later}, partial(perform, out=asked.out), asked.jobs, kept)
     print("\n".join(table(rows, asked.before)))
-    print("\n".join(f"{row['key']}: {note}" for row in rows for note in row.get("notes", ()) if "unlike" in note))
+    print("\n".join(f"{row['key']}: {note}" for row in rows for note in row.get("notes", ()) if "alone" in note))
 
 
 if __name__ == "__main__":

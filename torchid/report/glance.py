@@ -10,7 +10,7 @@ from torchid.report.recording_faults import WRONG, Fault, recording_faults
 from torchid.session import Outcome
 from torchid.session.judging import FAR_SD, Mass, Masses, masses
 from torchid.session.outcome import ORDER, Quality, QualityLevel
-from torchid.session.person import UNLIKE, USED
+from torchid.session.person import LEFT, UNLIKE, USED
 from torchid.wording import change, clean, listing, number, plural, spread
 
 SIDES = {
@@ -67,8 +67,8 @@ def _tables(outcome: Outcome) -> Iterator[Light]:
     if outcome.fit.model.build:
         yield Light("Tables", None, f"Of adults, {listing(outcome.fit.model.build)}.")
     for note in outcome.notes:
-        if note.code in (USED, UNLIKE):
-            level = QualityLevel.CARE if note.code == UNLIKE else None
+        if note.code in (USED, LEFT, UNLIKE):
+            level = None if note.code == USED else QualityLevel.CARE
             yield Light("Tables", level, _sentence(clean(note.message, 300)))
 
 

@@ -15,6 +15,7 @@ from torchid.config import Config, dump_config
 from torchid.dynamics.rows import residual_rms
 from torchid.errors import ConfigError, DataError, Note
 from torchid.extension.open_geometry import right_subject, with_open_geometry
+from torchid.extension.people_or_tables import people_or_tables
 from torchid.extension.verdict import with_verdict
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
@@ -175,7 +176,9 @@ def compute_outcome(
     except DataError as failure:
         log.info("%s", failure)
         return _with_forces(outcome, folder), failure
-    outcome = replace(outcome, identified=identified, notes=(*outcome.notes, *identified.fit.notes))
+    outcome = people_or_tables(replace(outcome, identified=identified), folder, key, progress)
+    assert outcome.identified is not None
+    outcome = replace(outcome, notes=(*outcome.notes, *outcome.identified.fit.notes))
     with folder.timed("residuals"):
         outcome = replace(outcome, residuals=contributions(outcome))
     if config.diagnosis.enabled:

@@ -30,8 +30,8 @@ NAME = "person.nc"
 """Of the file in a run's folder."""
 NOTHING = 1e-9
 """Resolution. Information, over the prior's, below which the rows say nothing of a direction."""
-USED, UNLIKE = "people.used", "people.unlike"
-"""Codes of the notes on people."""
+USED, LEFT, UNLIKE = "people.used", "people.left", "people.unlike"
+"""Codes of the notes on people: the inertia begins from them; it does not; it does, and forces speak against it."""
 UNLIKE_ODDS = 10.0
 """Cited. Times as likely under the tables alone from which on a person is unlike the people: strong evidence (Kass &
 Raftery, J Am Stat Assoc 90:773 (1995), from 10 or 20)."""
