@@ -157,6 +157,31 @@ def test_names_that_distances_tell_are_put_right_before_anything_is_searched(mis
     assert first == after and ("marker_swap", statement.labels, "certain", True) in first
 
 
+@pytest.mark.slow
+@pytest.mark.battery
+@pytest.mark.parametrize("more", [False, True])
+def test_names_that_a_search_takes_back_are_searched_as_labelled(misnamed, tmp_path, monkeypatch, more):
+    """Once; where the search behind them names other exchanges, these are put right too, and all is searched again."""
+    searched, (statement,) = [], misnamed.session.tracking
+    labels = misnamed.fit.attachment.labels
+    others = tuple([label for label in labels if label not in statement.labels][:2])
+
+    def once_back(observed, heldout, plates, effects, *rest):
+        searched.append(len(effects))
+        found = diagnose(observed, heldout, plates, effects, *rest)
+        times = misnamed.session.trials[statement.trial].markers.time
+        when = (Interval(statement.trial, float(times[0]), float(times[-1])),)
+        again = cause("marker_swap", others if more else statement.labels, when)
+        named = len(searched) in ((2, 3) if more else (2,))
+        return replace(found, causes=(*found.causes, again)) if named else found
+
+    monkeypatch.setattr(diagnosing, "diagnose", once_back)
+    with OutputFolder(tmp_path) as folder:
+        assert verdict.with_verdict(misnamed, folder, "back", _silent).diagnosis is not None
+    some = len(BENDING)
+    assert searched == ([0, some, some, some] if more else [0, some, some])
+
+
 def test_doubt_is_that_of_what_is_contradicted_now(swap):
     """What a swap had contradicted is no reason for doubt once it is put right, what is left is."""
     empty = Diagnosis((), Errors(9.0, 3.0), Errors(8.0, 2.0), (), QUIET)

@@ -11,8 +11,8 @@ from torch.testing import assert_close
 
 from torchid.geometry.arrow.solver import solve_arrow
 from torchid.geometry.problem import MarkerProblem
-from torchid.geometry.sliding_skin import TOGETHER, Slides, SlideSums, slid_covariance, slides_of
-from torchid.geometry.uncertainty import _add_frames
+from torchid.geometry.sliding_skin import IN_COMMON, Slides, SlideSums, slid_covariance, slides_of
+from torchid.geometry.uncertainty import SAMPLED, _add_frames, estimate_uncertainty
 
 DRAWS, FRAMES = 24, 30
 """Draws, and frames of the leg."""
@@ -40,8 +40,9 @@ def summed(problem: MarkerProblem, q: Tensor, xi: Tensor) -> tuple[SlideSums, Te
 def slid(problem: MarkerProblem, q: Tensor, xi: Tensor, slides: Slides, c: Tensor) -> MarkerProblem:
     """The problem with every marker moved along its segment's axes in proportion to angles."""
     R_BW = problem.residual(q, xi)[0].R[problem.body]
-    along = torch.zeros(3 * len(problem.body), FRAMES).double().index_add_(0, slides.row, c[:, None] * slides.angle)
-    return replace(problem, target=problem.target + torch.einsum("maxt,mat->mxt", R_BW, along.view(-1, 3, FRAMES)))
+    frames = q.shape[1]
+    along = torch.zeros(3 * len(problem.body), frames).double().index_add_(0, slides.row, c[:, None] * slides.angle)
+    return replace(problem, target=problem.target + torch.einsum("maxt,mat->mxt", R_BW, along.view(-1, 3, frames)))
 
 
 def test_a_slide_moves_geometry_and_cost_as_is_foretold(leg):
@@ -81,6 +82,40 @@ def test_how_far_skin_slides_is_found_and_none_where_there_is_none(leg):
     assert min(near, none) >= at_least(0.9, DRAWS)
 
 
+def test_deviations_hold_what_slides_do_where_only_some_frames_are_looked_at(seed):
+    """Skin that slides by 10 mm with a radian is found from a third of the frames, and is what deviations are of."""
+    frames = 3 * SAMPLED
+    given, q, xi = marked_leg(frames)
+    names = tuple(map(str, range(len(xi))))
+    loose = torch.ones(len(given.body)).double()
+    body = [given.plan.order[k] for k in given.body.tolist()]
+    slides = slides_of(given.plan.tree, body, q, loose)
+    c = 0.01 / 3.0**0.5 * slides.root() @ torch.randn(len(slides.row)).double()
+    found = {}
+    for name, problem in (("still", given), ("sliding", slid(given, q, xi, slides, c))):
+        solution = solve_arrow(problem, q, xi)
+        found[name] = estimate_uncertainty(problem, solution.q, solution.xi, names, loose)
+    still, sliding = found["still"], found["sliding"]
+    assert 0.01 / 1.5 < sliding.skin_m_rad < 0.01 * 1.5
+    assert still.skin_m_rad < 0.01 / 4.0
+    assert float((sliding.sd / still.sd).median()) > 3.0
+
+
+def test_skin_adds_nothing_where_nothing_turns_or_tells(leg):
+    """Without slides, without angles that change, and where all residuals are zero."""
+    problem, q, xi = leg
+    loose = torch.ones(len(problem.body)).double()
+    exact = estimate_uncertainty(problem, q, xi, tuple(map(str, range(len(xi)))), loose)
+    standing = q[:, :1].expand(-1, FRAMES)
+    still = replace(problem, target=problem.residual(standing, xi)[1] + 1e-3 * torch.randn(16, 3, FRAMES).double())
+    assert exact.skin_m_rad < 1e-9
+    assert estimate_uncertainty(still, standing, xi, tuple(map(str, range(len(xi)))), loose).skin_m_rad == 0.0
+    nothing = SlideSums.nothing(slides_of(problem.plan.tree, [], q, loose[:0]), len(xi))
+    eye = torch.eye(len(xi)).double()
+    more, size = slid_covariance(nothing, nothing.scores.new_zeros(0), eye)
+    assert size == 0.0 and not bool(more.any())
+
+
 def test_markers_of_a_segment_slide_half_together(leg):
     """Along one axis with one angle; those of other segments, axes and angles on their own."""
     problem, q, xi = leg
@@ -88,7 +123,7 @@ def test_markers_of_a_segment_slide_half_together(leg):
     L = slides.root() @ slides.root().T
     scale = slides.loose[:, None] * slides.loose
     same = slides.group[:, None] == slides.group
-    expected = torch.where(same, TOGETHER, 0.0) + (1.0 - TOGETHER) * torch.eye(len(L)).double()
+    expected = torch.where(same, IN_COMMON, 0.0) + (1.0 - IN_COMMON) * torch.eye(len(L)).double()
     assert_close(L / scale, expected.double(), rtol=1e-10, atol=1e-10)
     assert int(same.sum(1).min()) == int(same.sum(1).max()) == 4
     per_marker = torch.bincount(slides.marker) // 3  # pelvis: hip; thigh: hip, knee; shank: knee, ankle; foot: ankle

@@ -44,7 +44,7 @@ from torchid.model.anthropometry import inertial_prior
 from torchid.model.people import People, own_covariance, shared
 from torchid.model.pseudo import com, mass
 from torchid.run import run_experiment
-from torchid.session.people import people_dataset
+from torchid.session.people import people_dataset, subject_prior
 from torchid.session.person import LEFT, NAME, UNLIKE, read_person
 from torchid.session.tables import heldout_errors
 from torchid.storage.netcdf import write_netcdf
@@ -99,7 +99,7 @@ def perform(case: Case, out: Path) -> Row:
             (out / "evidence").mkdir(parents=True, exist_ok=True)
             shutil.copy(config.out / NAME, out / "evidence" / f"{case.key}.nc")
         true_mass, true_com, *_ = truth_of(truth, outcome.fit.model.tree.names)
-        prior = outcome.prior.mean
+        prior = subject_prior(config.model, plain["subject"], outcome.fit).mean
         row["before"] = {
             "mass": (mass(prior) - true_mass).tolist(), "centre of mass": (com(prior) - true_com).flatten().tolist(),
         }  # fmt: skip

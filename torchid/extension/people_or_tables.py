@@ -57,7 +57,7 @@ def people_or_tables(outcome: Outcome, folder: OutputFolder, key: str, progress:
 
 
 def _from_tables(outcome: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> Outcome:
-    """The same session without the people of its config."""
+    """The same session without the people of its config; followed as before, on the same frames."""
     who = outcome.config.subject.model_copy(update={"people": None})
     config = outcome.config.model_copy(update={"subject": who})
     prior, scaled = (subject_prior(config.model, who, fit) for fit in (outcome.fit, outcome.scaled))

@@ -23,6 +23,7 @@ from torchid.session.fitting import OnStage, fit_session, identify
 from torchid.session.following import Following
 from torchid.session.people import subject_prior
 from torchid.session.standing import follow_session
+from torchid.storage.provenance import stage_key
 from torchid.storage.results import OutputFolder
 
 
@@ -49,6 +50,7 @@ def put_right(
     exchanged = swap_causes(base.diagnosis.likely)
     if not exchanged:
         return base, base
+    key = stage_key(before=key, swaps=[(one.where, one.when) for one in exchanged])
     again = fitted_anew(base, exchanged, folder, key, progress)
     after = folder.stage("diagnosis_relabelled", key, lambda: diagnosed(again))
     if after is None or any(_overlap(one, other) for one in exchanged for other in swap_causes(after.causes)):

@@ -4,13 +4,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from torchid.diagnosis.candidates.marker_faults import EXCHANGED
+from torchid.diagnosis.diagnose import select_effects
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.extension.diagnosing import diagnose_outcome
 from torchid.extension.model_free_checks import with_witnesses
 from torchid.extension.other_proofs import marker_faults
 from torchid.extension.publishing import publishable
 from torchid.extension.statements import panel_of
-from torchid.extension.swapped_markers import put_right
+from torchid.extension.swapped_markers import put_right, swap_causes
 from torchid.session import Outcome
 from torchid.session.fitting import OnStage
 from torchid.session.laboratory import earlier_sessions
@@ -41,8 +42,7 @@ def with_verdict(outcome: Outcome, folder: OutputFolder, key: str, progress: OnS
         return put_right(some, judged, folder, key, progress)
 
     progress("diagnosis", 0.0)
-    named = any(one.effect is EXCHANGED for one in marker_faults(outcome))
-    if named and (found := _names_first(outcome, judged, put_right_in, folder, key)) is not None:
+    if _names_told(outcome) and (found := _names_first(outcome, judged, put_right_in, folder, key)) is not None:
         base, relabelled = found
     else:
         verdict = folder.stage("diagnosis", key, lambda: judged(outcome))
@@ -62,13 +62,24 @@ def with_verdict(outcome: Outcome, folder: OutputFolder, key: str, progress: OnS
     return published
 
 
+def _names_told(outcome: Outcome) -> bool:
+    wanted = outcome.config.diagnosis
+    if EXCHANGED not in select_effects(wanted.include, wanted.exclude):
+        return False
+    return any(one.effect is EXCHANGED for one in marker_faults(outcome))
+
+
 def _names_first(
     outcome: Outcome, judged: Callable[[Outcome, bool], Diagnosis | None],
     put_right_in: Callable[[Outcome], tuple[Outcome, Outcome]], folder: OutputFolder, key: str,
 ) -> tuple[Outcome, Outcome] | None:  # fmt: skip
-    """Names that distances alone tell are put right before anything is searched; None where they are taken back."""
+    """Names that distances alone tell are put right before anything is searched.
+
+    None where the search behind it takes them back, or names more: all of these are to be put right before it.
+    """
     verdict = folder.stage("diagnosis_names", key, lambda: judged(outcome, False))
     if verdict is None:
         return None
     base, relabelled = put_right_in(replace(outcome, diagnosis=verdict))
-    return None if relabelled is base else (base, relabelled)
+    assert relabelled.diagnosis is not None
+    return None if relabelled is base or swap_causes(relabelled.diagnosis.likely) else (base, relabelled)

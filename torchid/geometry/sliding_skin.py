@@ -18,13 +18,15 @@ from torch import Tensor
 
 from torchid.model.tree import Tree
 
-TOGETHER = 0.5
-"""Cited. Part of the variance of slides that all markers of a segment have in common: a cluster's rigid and non-rigid
+IN_COMMON = 0.5
+"""Part of the variance of slides that all markers of a segment have in common; chosen: a cluster's rigid and non-rigid
 motion are of similar size (Grimpampi et al., IEEE Trans Biomed Eng 61:362 (2014))."""
 RATIOS = tuple(2.0 ** (k / 2.0) for k in range(-30, 31))
 """Resolution. Variances of slides that are tried, over that of noise where the median direction tells both alike."""
 SEEN = 1e-9
 """Resolution. Information on slides, over the largest, below which nothing is seen of a direction."""
+LIKELIER = 1e-6
+"""Resolution. Log likelihood by which a larger slide has to be better: where all directions tell alike none is."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Slides:
     def root(self) -> Float[Tensor, "slides slides"]:
         """Return the Cholesky factor of L, the covariance of slides of unit variance."""
         same = (self.group[:, None] == self.group).to(self.loose)
-        alike = TOGETHER * same + (1.0 - TOGETHER) * torch.eye(len(self.loose)).to(self.loose)
+        alike = IN_COMMON * same + (1.0 - IN_COMMON) * torch.eye(len(self.loose)).to(self.loose)
         return self.loose[:, None] * torch.linalg.cholesky(alike)
 
     def moment(
@@ -140,9 +142,10 @@ class SlideSums:
 def slid_covariance(
     sums: SlideSums, moment: Float[Tensor, " slides"], covariance: Float[Tensor, "xi xi"]
 ) -> tuple[Float[Tensor, "xi xi"], float]:
-    """Return what sliding skin adds to the covariance of xi, and how far it slides [m/rad].
+    """Return what sliding skin adds to the covariance of xi, and how far it slides along an axis of a segment [m/rad].
 
     How far is the likeliest of the moments, whose noise has a size of its own (its maximum given the ratio is known).
+    Where nothing tells, skin adds nothing.
 
     Args:
         sums: of all frames.
@@ -152,14 +155,16 @@ def slid_covariance(
     root = sums.slides.root()
     left = sums.information - sums.scores @ covariance @ sums.scores.mT
     d, Q = torch.linalg.eigh(root.mT @ left @ root)
-    some = d > SEEN * d[-1]
-    d, y = d[some], (Q[:, some].mT @ (root.mT @ moment))
-    best, likeliest, typical = -math.inf, 0.0, float(d.median())
+    some = d > SEEN * d.clamp(min=0.0).amax() if d.numel() else d > 0.0
+    d, y = d[some], Q[:, some].mT @ (root.mT @ moment)
+    if not bool(y.any()):
+        return torch.zeros_like(covariance), 0.0
+    best, variance, typical = -math.inf, 0.0, float(d.median())
     for ratio in (0.0, *(one / typical for one in RATIOS)):
         spread = d + ratio * d.square()
         noise = float((y.square() / spread).mean())
         nats = -0.5 * (len(d) * math.log(noise) + float(spread.log().sum()))
-        if nats > best:
-            best, likeliest = nats, ratio * noise
+        if nats > best + LIKELIER:
+            best, variance = nats, ratio * noise
     way = covariance @ sums.scores.mT @ root
-    return likeliest * way @ way.mT, math.sqrt(likeliest)
+    return variance * way @ way.mT, math.sqrt(variance)

@@ -38,14 +38,17 @@ class Direction:
 
 @dataclass(frozen=True)
 class GeometryUncertainty:
-    """The posterior of xi at the solution, to first order."""
+    """The posterior of xi at the solution, to first order, and how far skin may have led it astray.
+
+    The solution knows nothing of skin that slides with angles: where that is far, deviations exceed the prior's.
+    """
 
     covariance: Float[Tensor, "xi xi"]
     undetermined: tuple[Direction, ...]
     residual: Float[Tensor, "markers 3 frames"]
     """Residuals of the markers through the chain, NaN where missing [m]."""
     skin_m_rad: float = 0.0
-    """The slide of skin under a marker with an angle of a joint near it, root mean square [m/rad]."""
+    """The length of the slide of skin under a marker with an angle of a joint near it, root mean square [m/rad]."""
 
     @property
     def sd(self) -> Float[Tensor, " xi"]:
@@ -112,7 +115,7 @@ def estimate_uncertainty(
     names: tuple[str, ...],
     loose: Float[Tensor, " markers"],
 ) -> GeometryUncertainty:
-    """Return the posterior of xi, the directions left to the prior, and the residuals of the chain.
+    """Return the posterior of xi, wider by sliding skin, the directions left to the prior, and the residuals.
 
     Args:
         problem: markers with weights that match the residuals, their autocorrelation included.
@@ -141,7 +144,7 @@ def estimate_uncertainty(
         covariance=covariance + slid,
         undetermined=_undetermined(information, prior.rsqrt(), names),
         residual=torch.where(problem.weight[:, None] > 0, residual, torch.nan),
-        skin_m_rad=skin,
+        skin_m_rad=3.0**0.5 * skin,
     )
 
 

@@ -23,7 +23,7 @@ SKIN = (
     "Skin slides by {} mm with a radian of a joint near it, in the root mean square over markers; ± holds what that "
     "leaves open."
 )
-"""Wording. Below the table of parameters."""
+"""Wording. Above the table of parameters."""
 STAGES = (
     ("read", "Reading the recordings"),
     ("geometry", "Fit of the geometry"),
