@@ -17,8 +17,8 @@ from batteries.calibrate import RESERVED, bounded, counted, decided, document, j
 from harness.pool import finished
 from harness.rows import read_lines
 
-from torchid.bounds import Count, NonNegative, Positive, Share
 from torchid.config.sections import DiagnosisSection
+from torchid.conventions import Count, NonNegative, Positive, Share
 from torchid.diagnosis.options import DiagnosisOptions, ThresholdKind, threshold_kinds
 from torchid.effects.catalogue import CATALOGUE
 

@@ -1,4 +1,4 @@
-"""Conventions of torchid: units, axes, orders and names that must not vary.
+"""Conventions of torchid: units, axes, orders, names and types of options that must not vary.
 
 Units are SI and radians; files are converted in ``io`` and nowhere else. The world W is right-handed with Z up.
 In the neutral standing pose every body's axes point X forward, Y left, Z up; a body's origin is its proximal joint
@@ -11,9 +11,18 @@ Arrays lead with ``*batch``, then ``frames``, ``bodies``, ``dofs``, ``markers``,
 """
 
 from enum import IntEnum
+from typing import Annotated
 
 import torch
+from annotated_types import Ge, Gt, Le, Len
 from torch import Tensor
+
+Positive = Annotated[float, Gt(0)]
+NonNegative = Annotated[float, Ge(0)]
+Share = Annotated[float, Ge(0), Le(1)]
+Count = Annotated[int, Gt(0)]
+Name = Annotated[str, Len(1, 200)]
+# Types of options with their bounds, which the config checks (https://github.com/annotated-types/annotated-types).
 
 GRAVITY = 9.80665
 """Standard gravity [m/s^2]; the field points along -Z of W."""

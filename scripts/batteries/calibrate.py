@@ -144,7 +144,7 @@ def _place(options: DiagnosisOptions, name: str) -> tuple[str, str]:
 
 
 def bounded(kind: object, value: float) -> float:
-    """The nearest value of a type of ``torchid.bounds``; whole for a count. Open bounds of real ones are at zero."""
+    """The nearest value of a type of ``conventions``; whole for a count. Open bounds of real ones are at zero."""
     base, *bounds = get_args(kind)
     value = round(value) if base is int else value
     for bound in bounds:

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 from annotated_types import Ge, Gt, Lt
 from pydantic import PlainValidator
 
-from torchid.bounds import Count, Name, Positive
 from torchid.config.paths import resolve_path
+from torchid.conventions import Count, Name, Positive
 from torchid.errors import OptionError
 
 DEVICE_SUFFIXES = (".yaml", ".yml", ".json", ".urdf", ".xml")

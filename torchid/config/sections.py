@@ -11,11 +11,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from torchid.bounds import Count, Name, Positive
 from torchid.config.conditions import Condition, EvaluateOptions, faults
 from torchid.config.paths import PROJECT_DATA as PROJECT_DATA
 from torchid.config.paths import UserPath, resolve_path
 from torchid.contact.options import ContactOptions
+from torchid.conventions import Count, Name, Positive
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.geometry.options import GeometryOptions
 from torchid.inertia.options import IdentifyOptions

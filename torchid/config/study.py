@@ -7,9 +7,9 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Lt
 from pydantic import Field
 
-from torchid.bounds import Name
 from torchid.config.paths import UserPath
 from torchid.config.sections import ConfigSection
+from torchid.conventions import Name
 from torchid.errors import OptionError
 
 

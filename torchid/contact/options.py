@@ -3,8 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from torchid.bounds import Count, Name, NonNegative, Positive
-from torchid.conventions import LOADED_N, STANDING_M_S
+from torchid.conventions import LOADED_N, STANDING_M_S, Count, Name, NonNegative, Positive
 from torchid.errors import OptionError
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from torchid.bounds import NonNegative, Positive
+from torchid.conventions import NonNegative, Positive
 from torchid.devices.device import SheetValue
 
 UNKNOWN: Mapping[str, SheetValue] = MappingProxyType(

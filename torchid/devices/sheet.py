@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from torchid.bounds import Name, NonNegative
+from torchid.conventions import Name, NonNegative
 
 
 class SheetSection(BaseModel):

@@ -13,7 +13,7 @@ import inspect
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from torchid.bounds import Count, NonNegative, Positive, Share
+from torchid.conventions import Count, NonNegative, Positive, Share
 from torchid.model_free.options import WitnessOptions
 from torchid.observation.options import ObservationOptions
 

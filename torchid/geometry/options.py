@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Le
 
-from torchid.bounds import Count, Name, Positive
+from torchid.conventions import Count, Name, Positive
 
 
 @dataclass(frozen=True)

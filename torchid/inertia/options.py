@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
-from torchid.bounds import Positive, Share
+from torchid.conventions import Positive, Share
 from torchid.errors import OptionError
 
 

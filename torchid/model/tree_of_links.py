@@ -13,8 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.bounds import NonNegative, Positive
-from torchid.conventions import INERTIA_PAIRS
+from torchid.conventions import INERTIA_PAIRS, NonNegative, Positive
 from torchid.errors import InputError, Note
 from torchid.model.mechanics import Array, as_rotation, pseudo_to_phi
 from torchid.model.model import Geometry, GeometryPrior, InertialPrior, Landmark, Model

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from torchid.bounds import Positive, Share
+from torchid.conventions import Positive, Share
 
 
 @dataclass(frozen=True)

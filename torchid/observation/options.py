@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from torchid.bounds import Count, NonNegative, Positive
-from torchid.conventions import ZERO_MOST_N
+from torchid.conventions import ZERO_MOST_N, Count, NonNegative, Positive
 
 
 @dataclass(frozen=True)

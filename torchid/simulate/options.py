@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from torchid.bounds import Name, Positive
+from torchid.conventions import Name, Positive
 from torchid.effects.place import Interval
 from torchid.errors import OptionError
 
