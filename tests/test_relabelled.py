@@ -135,26 +135,46 @@ def misnamed(tmp_path_factory) -> Outcome:
         return fitted_anew(replace(clean, session=session, config=wanted), [], folder, "misnamed", _silent)
 
 
-@pytest.mark.slow
-def test_names_that_distances_tell_are_put_right_before_anything_is_searched(misnamed, tmp_path, monkeypatch):
-    """One search in place of two finds the same; where names are taken back all is searched as it is labelled."""
-    searched, (statement,) = [], misnamed.session.tracking
+def counted(monkeypatch) -> list[int]:
+    """Number of effects that each diagnosis from now on searches."""
+    searched = []
 
-    def counted(observed, heldout, plates, effects, *others):
+    def one(observed, heldout, plates, effects, *others):
         searched.append(len(effects))
         return diagnose(observed, heldout, plates, effects, *others)
 
-    monkeypatch.setattr(diagnosing, "diagnose", counted)
-    found = {}
-    for name, back in (("first", False), ("after", True)):
-        if back:
-            monkeypatch.setattr(verdict, "_names_first", lambda *_: None)
-        with OutputFolder(tmp_path / name) as folder:
-            found[name] = verdict.with_verdict(misnamed, folder, name, _silent).diagnosis
-    some = len(BENDING)
-    assert searched == [0, some, some, some]
-    first, after = ([(one.effect, one.where, one.level, one.applied) for one in found[k].causes] for k in found)
-    assert first == after and ("marker_swap", statement.labels, "certain", True) in first
+    monkeypatch.setattr(diagnosing, "diagnose", one)
+    return searched
+
+
+@pytest.mark.slow
+def test_names_that_distances_tell_are_put_right_before_anything_is_searched(misnamed, tmp_path, monkeypatch):
+    """All is searched once, and the exchange is named and corrected."""
+    searched, (statement,) = counted(monkeypatch), misnamed.session.tracking
+    with OutputFolder(tmp_path) as folder:
+        found = verdict.with_verdict(misnamed, folder, "first", _silent).diagnosis
+    assert searched == [0, len(BENDING)]
+    assert ("marker_swap", statement.labels, "certain", True) in named(found)
+
+
+def named(found: Diagnosis | None) -> list[tuple]:
+    """What is said of each cause."""
+    assert found is not None
+    return [(one.effect, one.where, one.level, one.applied) for one in found.causes]
+
+
+@pytest.mark.slow
+@pytest.mark.battery
+def test_one_search_finds_what_two_find(misnamed, tmp_path, monkeypatch):
+    """As if nobody had put names right before the first."""
+    with OutputFolder(tmp_path / "first") as folder:
+        first = verdict.with_verdict(misnamed, folder, "first", _silent).diagnosis
+    searched = counted(monkeypatch)
+    monkeypatch.setattr(verdict, "_names_first", lambda *_: None)
+    with OutputFolder(tmp_path / "after") as folder:
+        after = verdict.with_verdict(misnamed, folder, "after", _silent).diagnosis
+    assert searched == [len(BENDING)] * 2
+    assert named(first) == named(after)
 
 
 @pytest.mark.slow
