@@ -97,13 +97,16 @@ def test_only_common_faults_are_kept_in_the_order_that_is_asked() -> None:
 
 def test_sessions_before_the_plate_was_moved_say_nothing_of_the_next() -> None:
     draw = np.random.default_rng(seed_of("since"))
-    theta = np.zeros(PARAMETERS)
-    theta[columns(1)] = 1.0
-    moved = pooled(laboratory(draw, theta, SESSIONS // 2, dated=True))
-    assert [one.effect for one in moved.faults if one.confidence > 0.5] == ["plate_gain"]
-    at = columns(1)
-    value = torch.linalg.solve(moved.expected.information + torch.eye(PARAMETERS).double(), moved.expected.moment)[at]
-    assert abs(float(value) - 1.0) < 0.3, "half of it, if the sessions before counted"
+    theta, at = np.zeros(PARAMETERS), columns(1)
+    theta[at] = 1.0
+    values = []
+    for _ in range(LABORATORIES):
+        moved = pooled(laboratory(draw, theta, SESSIONS // 2, dated=True))
+        assert [one.effect for one in moved.faults if one.confidence > 0.5] == ["plate_gain"]
+        whole = moved.expected.information + torch.eye(PARAMETERS).double()
+        values.append(float(torch.linalg.solve(whole, moved.expected.moment)[at]))
+    # It is half of it where the sessions before count: in one of 24 laboratories the date was not found.
+    assert sum(abs(value - 1.0) < 0.3 for value in values) >= at_least(0.9, LABORATORIES)
 
 
 def told_by(path: Path, gain: float, sd: float) -> Path:

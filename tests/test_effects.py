@@ -12,6 +12,7 @@ import torch
 from balance import in_balance
 from draws import seed_of
 from effect_contract import check_class, check_words
+from rates import at_least
 from torch.testing import assert_close
 
 import torchid
@@ -434,11 +435,11 @@ def test_a_swap_is_proposed_whole(followed, lost):
 def test_a_glide_along_the_axis_tells_that_in_the_plane(own_ways):
     """Markers show four of the six numbers of a hinge whose centre glides; one course for all axes shows the others."""
     rng = np.random.default_rng([SEED, 14])
-    found = [_glide(rng, own_ways) for _ in range(1 if own_ways else 100)]
+    found = [_glide(rng, own_ways) for _ in range(100)]
     if own_ways:
-        (shift, sd, named, _) = found[0]
-        assert_close(shift, named)
-        assert float(sd.norm()) > 0.01
+        # Some look like one course for all axes by chance, as some of one course look like their own ways.
+        own = [float((shift - named).abs().max()) < 1e-9 and float(sd.norm()) > 0.01 for shift, sd, named, _ in found]
+        assert sum(own) >= at_least(0.98, 100)
     else:
         told = [(shift, sd, true) for shift, sd, _, true in found if float(sd.norm()) < 0.007]
         # One in a hundred passes for a glide that goes its own way along each axis (OWN_WAYS): nine of them by chance

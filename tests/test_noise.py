@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import small_session as small
 import torch
+from rates import FALSE_ALARM
+from scipy.stats import norm
 from torch.testing import assert_close
 
 from torchid.diagnosis.columns.design import Design, Terms
@@ -80,7 +82,7 @@ def test_noise_is_what_markers_do_most_of_the_time(response):
     The postures' share is given back for noise that a fit has left: here none has taken any.
     """
     found = response.scatter * response.bands.kept.view(-1, 3).mean(1).sqrt()
-    assert_close(found, torch.full_like(response.scatter, NOISE), rtol=0.35, atol=0.0)
+    assert_close(found, torch.full_like(response.scatter, NOISE), rtol=0.5, atol=0.0)  # as below
 
 
 def test_each_segment_is_given_back_what_its_posture_took(rows, response):
@@ -92,7 +94,10 @@ def test_each_segment_is_given_back_what_its_posture_took(rows, response):
     left = (error - J @ x)[:, :, 0].T.reshape(response.error.shape)
     after = replace(seen, error=left)
     kept = after.bands.kept.view(-1, 3).mean(1)
-    assert_close(left.square().mean((1, 2)) / NOISE**2, kept, rtol=0.15, atol=0.0)
+    samples = left[0].numel() * float(kept.min())
+    chance = norm.isf(FALSE_ALARM / len(kept)) * (2.0 / samples) ** 0.5
+    assert chance < 0.3
+    assert_close(left.square().mean((1, 2)) / NOISE**2, kept, rtol=chance, atol=0.0)
     assert float(kept.max() / kept.min()) > 1.3
     # A choice: one of 124 was off by 0.39 in some forty draws.
     assert_close(after.scatter, torch.full_like(after.scatter, NOISE), rtol=0.5, atol=0.0)
