@@ -20,7 +20,7 @@ from torchid.observation.noise_draws import draw_noise
 from torchid.session import motion_noise as drawn
 from torchid.session.motion_noise import motion_noise
 
-ROWS, PARAMETERS, TRIALS = 2000, 6, 24
+ROWS, PARAMETERS, TRIALS = 2000, 6, 400
 BODIES = 6
 
 
