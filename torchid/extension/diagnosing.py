@@ -71,17 +71,9 @@ def diagnose_outcome(
     left = [w for w in (set_aside(w, gone) for w in observed) if any(True for _ in w.rows.blocks())]
     observed = left or observed
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
+    sought = effects if searching else ()
     found = diagnose(
-        observed,
-        heldout,
-        plates,
-        effects if searching else (),
-        known,
-        wanted.max_effects,
-        options,
-        panel,
-        told(outcome),
-        earlier,
+        observed, heldout, plates, sought, known, wanted.max_effects, options, panel, told(outcome), earlier
     )
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
     named = {cause.where for cause in found.likely if cause.effect == MOVED.name}
