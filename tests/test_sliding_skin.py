@@ -41,7 +41,11 @@ def slid(problem: MarkerProblem, q: Tensor, xi: Tensor, slides: Slides, c: Tenso
     """The problem with every marker moved along its segment's axes in proportion to angles."""
     R_BW = problem.residual(q, xi)[0].R[problem.body]
     frames = q.shape[1]
-    along = torch.zeros(3 * len(problem.body), frames).double().index_add_(0, slides.row, c[:, None] * slides.angle)
+    along = (
+        torch.zeros(3 * len(problem.body), frames)
+        .double()
+        .index_add_(0, slides.row, c[:, None] * slides.angles[slides.angle])
+    )
     return replace(problem, target=problem.target + torch.einsum("maxt,mat->mxt", R_BW, along.view(-1, 3, frames)))
 
 

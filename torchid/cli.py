@@ -19,7 +19,7 @@ import typer
 from rich.text import Text
 
 from torchid.errors import ConfigError, DataError, InputError, TorchidError, said_of_defect
-from torchid.storage.allocator import keep_memory
+from torchid.storage.allocator import keep_memory, seldom_collect
 from torchid.terminal import Terminal, cohort_progress, complain, print_lights, progress_bars, unbroken
 
 SOME_ASIDE = 4
@@ -427,6 +427,7 @@ def _exit_codes(debug: bool) -> Iterator[None]:
     from torchid.storage.logs import configure_logging
 
     configure_logging(debug)
+    seldom_collect()
     # As `threads` of a config, before torch is imported: threads that share small matrices mostly wait for each other.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     try:

@@ -36,8 +36,10 @@ class Slides:
     marker: Int[Tensor, " slides"]
     row: Int[Tensor, " slides"]
     """Three times the marker, plus the axis of its segment along which it slides."""
-    angle: Float[Tensor, "slides frames"]
-    """The angle, from its mean [rad]."""
+    angle: Int[Tensor, " slides"]
+    """Which of the angles it goes with."""
+    angles: Float[Tensor, "angles frames"]
+    """All angles of joints, from their means [rad]."""
     group: Int[Tensor, " slides"]
     """Equal where segment, axis and angle are."""
     loose: Float[Tensor, " slides"]
@@ -63,7 +65,7 @@ class Slides:
             residual: of the markers, along axes of the world [m].
         """
         along = torch.einsum("maxt,mxt->mat", R_BW, residual) * weight[:, None]
-        return (self.angle * along.flatten(0, 1)[self.row]).sum(1)
+        return (self.angles @ along.flatten(0, 1).mT)[self.angle, self.row]
 
 
 def slides_of(tree: Tree, body: list[int], q: Float[Tensor, "dofs frames"], loose: Float[Tensor, " markers"]) -> Slides:
@@ -82,9 +84,8 @@ def slides_of(tree: Tree, body: list[int], q: Float[Tensor, "dofs frames"], loos
     marker, row, angle = (torch.tensor([one[n] for one in every], device=q.device).long() for n in range(3))
     group = torch.tensor([groups[one[3]] for one in every], device=q.device).long()
     angles = tree.axes(q)
-    angles = (angles - angles.mean(1, keepdim=True))[angle]
     own = loose.to(q) / loose.to(q).square().mean().sqrt()
-    return Slides(marker, row, angles, group, own[marker])
+    return Slides(marker, row, angle, angles - angles.mean(1, keepdim=True), group, own[marker])
 
 
 @dataclass
@@ -101,7 +102,7 @@ class SlideSums:
     def nothing(slides: Slides, xi: int) -> "SlideSums":
         """Return sums of no frame."""
         n = len(slides.row)
-        return SlideSums(slides, slides.angle.new_zeros(n, xi), slides.angle.new_zeros(n, n))
+        return SlideSums(slides, slides.angles.new_zeros(n, xi), slides.angles.new_zeros(n, n))
 
     def add(
         self,
@@ -121,14 +122,15 @@ class SlideSums:
             score: of xi by residuals, with motion eliminated, rows along axes of the world.
         """
         own, few, markers = self.slides, len(frames), R_BW.shape[1]
-        angle = own.angle[:, frames].T
-        turned = (R_BW @ score.view(few, markers, 3, -1)).reshape(few, 3 * markers, -1)
-        self.scores += torch.einsum("fs,fsx->sx", angle, turned[:, own.row])
+        angles = own.angles[:, frames]
+        turned = (R_BW @ score.view(few, markers, 3, -1)).view(few, 3 * markers, -1)
+        self.scores += (angles @ turned.flatten(1)).view(len(angles), *turned.shape[1:])[own.angle, own.row]
         taken = (motion.view(few, -1, markers, 3)[..., None, :] @ R_BW.mT[:, None])[..., 0, :].flatten(2)
-        seen = (taken[:, :, own.row] * angle[:, None]).flatten(0, 1)
-        self.information -= seen.mT @ seen
-        weighed = angle * weight[:, own.marker]
-        self.information += torch.where(own.row[:, None] == own.row, weighed.mT @ angle, 0.0)
+        told = torch.diag_embed(weight.repeat_interleave(3, dim=1)) - taken.mT @ taken
+        for angle in own.angle.unique().tolist():  # with one, few rows move: a tenth of the products of all with all
+            mine = torch.nonzero(own.angle == angle)[:, 0]
+            pairs = (angles * angles[angle]) @ told[:, own.row[mine]].flatten(1)
+            self.information[mine] += pairs.view(len(angles), len(mine), -1)[own.angle, :, own.row].mT
 
     def scaled(self, factor: float) -> "SlideSums":
         """Return the sums of so many times as many frames.

@@ -164,7 +164,7 @@ def _add_frames(
     V = torch.linalg.solve_triangular(torch.linalg.cholesky(H), WJ_q.mT, upper=False)
     score = WJ_x - V.mT @ (V @ J_x)
     sums.add(part, R_WB.mT, weight[:, part].T, V, score)
-    return (J_x.mT @ score).sum(0)
+    return J_x.flatten(0, 1).mT @ score.flatten(0, 1)
 
 
 def _undetermined(information: Tensor, sd: Tensor, names: tuple[str, ...]) -> tuple[Direction, ...]:
