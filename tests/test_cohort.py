@@ -262,7 +262,7 @@ def test_who_fails_is_tried_again_where_that_may_help_and_set_aside_with_the_rea
 def test_a_run_that_nobody_waits_for_ends(tmp_path):
     """Who started it was killed: another worker may be at the same subject by then."""
     code = ("import subprocess, sys; p = subprocess.Popen([sys.executable, '-c', "
-            "'import os, threading, time; from torchid.cohort.one_run import end_with; "
+            "'import os, threading, time; from torchid.cohort.process import end_with; "
             "threading.Thread(target=end_with, args=(os.getppid(),), daemon=True).start(); "
             "print(os.getpid(), flush=True); time.sleep(600)']); p.wait()")  # fmt: skip
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
@@ -370,7 +370,7 @@ def _runs(pid: int) -> list[int]:
     found = []
     for one in psutil.Process(pid).children(recursive=True):
         try:
-            found += [one.pid] if "torchid.cohort.one_run" in one.cmdline() else []
+            found += [one.pid] if "torchid.cohort.process" in one.cmdline() else []
         except psutil.Error:
             continue
     return found

@@ -89,7 +89,7 @@ def killed(folder: Path, out: Path, count: int) -> dict[str, int]:
     with log, subprocess.Popen(command(folder, out, 2), stdout=log, stderr=log) as first:  # noqa: S603 - our own
         waited(first, lambda: len(rows_of(out)) >= count // 3)
         runs = [
-            p for p in psutil.Process(first.pid).children(recursive=True) if "torchid.cohort.one_run" in p.cmdline()
+            p for p in psutil.Process(first.pid).children(recursive=True) if "torchid.cohort.process" in p.cmdline()
         ]
         if runs and (worker := runs[0].parent()) is not None:
             os.kill(worker.pid, signal.SIGKILL)

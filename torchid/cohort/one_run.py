@@ -1,12 +1,7 @@
-"""One member's run in a process of its own, which ends when the one that waits for it does.
-
-``python -m torchid.cohort.one_run ORDER``: the order, a JSON file, says what to run and where its row goes.
-"""
+"""One member's run as an order says: a JSON file that tells what to run and where its row goes."""
 
 import json
 import os
-import sys
-import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,13 +19,8 @@ from torchid.report.picture import person_outline
 from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.session.tables import heldout_errors, identified_table, rms
-from torchid.storage.allocator import keep_memory
-from torchid.storage.files import plain, write_json
+from torchid.storage.files import write_json
 
-WATCH_S = 1.0
-"""Resolution. Time between looks for the process that waits [s]."""
-ORPHAN = 9
-"""Exit code of a run that nobody waits for any more."""
 Row = dict[str, Any]
 """What a table says of a member, by its columns."""
 
@@ -97,22 +87,3 @@ def _figures(outcome: Outcome, config: Config) -> Row:
         "causes": list(dict.fromkeys(called(one) for one in causes)),
         "outline": person_outline(outcome),
     }
-
-
-def end_with(parent: int) -> None:
-    """End this process once the one that started it is gone: what it runs may be run elsewhere by then."""
-    while os.getppid() == parent:
-        time.sleep(WATCH_S)
-    os._exit(ORPHAN)
-
-
-def main(order: Path) -> None:
-    """Run an order and write its row."""
-    said = json.loads(order.read_text(encoding="utf-8"))
-    threading.Thread(target=end_with, args=(said["parent"],), daemon=True).start()
-    keep_memory()
-    write_json(Path(said["row"]), plain(perform(said)))
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

@@ -29,7 +29,7 @@ AGAIN = ("defect", "results.", "tables.")
 """Beginnings of codes of refusals that are not the recordings': another run may end otherwise."""
 PAUSE_S = 3.0
 """Time before another try [s]; chosen: a run whose worker was killed is gone by then."""
-COMMAND = (sys.executable, "-m", "torchid.cohort.one_run")
+COMMAND = (sys.executable, "-m", "torchid.cohort.process")
 """What runs an order."""
 ROWS, CONFIGS, LOGS = "rows", "configs", "logs"
 """Folders of a cohort beside those of its members' results."""

@@ -74,7 +74,7 @@ def propagated(
     """
     out = {}
     for key, value in named(theta).items():
-        slope = torch.func.jacrev(lambda x, key=key: named(x)[key])(theta)
+        slope = torch.autograd.functional.jacobian(lambda x, key=key: named(x)[key], theta)
         flat = slope.reshape(-1, len(theta))
         out[key] = value, (flat @ covariance * flat).sum(1).sqrt().reshape(value.shape)
     return out
