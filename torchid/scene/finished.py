@@ -6,6 +6,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import h5netcdf
 import numpy as np
 import xarray
 from jaxtyping import Float
@@ -148,8 +149,11 @@ class FinishedRun:
 
 def _trial_name(motion: Path) -> str:
     """What the user calls a trial; files of before have it in their own name alone."""
-    with _opened(motion) as some:
-        return str(some.attrs.get("trial", motion.name.removeprefix("motion_").removesuffix(".nc")))
+    try:
+        with h5netcdf.File(motion, "r") as some:  # xarray would make ready to read all of it
+            return str(some.attrs.get("trial", motion.name.removeprefix("motion_").removesuffix(".nc")))
+    except (OSError, ValueError, KeyError) as error:
+        raise _unreadable(motion, error) from None
 
 
 def _json(folder: Path, name: str) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Effects at places as candidates, and the columns that they have in a design."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -52,7 +53,7 @@ class Candidate:
     widened: float = 1.0
     """Factor on the standard deviations of the effect's prior."""
 
-    @property
+    @cached_property
     def blocks(self) -> tuple[frozenset[int], ...]:
         """Sets of trials that share parameters."""
         return tuple(frozenset({k}) for k in sorted(self.trials)) if self.effect.per_trial else (self.trials,)
@@ -62,12 +63,12 @@ class Candidate:
         """Number of parameters, over all blocks."""
         return len(self.columns) * len(self.blocks)
 
-    @property
+    @cached_property
     def columns(self) -> Int[Tensor, " columns"]:
         """Columns in the design."""
         return torch.arange(self.source.columns.start, self.source.columns.stop)
 
-    @property
+    @cached_property
     def relative(self) -> Float[Tensor, " columns"]:
         """Prior standard deviations over those of the source."""
         own = torch.tensor(self.effect.scale(self.place), dtype=torch.float64)

@@ -98,7 +98,7 @@ def _informed(
         own = statistics.summed(block, lambda raw: _grams_of(raw, index))
         owns.append(own * relative[:, :, None] * relative[:, None, :])
     part = torch.cat(parts, 1)
-    own = torch.stack([torch.block_diag(*(o[k] for o in owns)) for k in range(len(some))])
+    own = owns[0] if len(owns) == 1 else torch.stack([torch.block_diag(*each) for each in zip(*owns, strict=True)])
     return own - part @ part.mT, torch.cat(lefts, 1)
 
 

@@ -45,9 +45,10 @@ class Scanned:
     @cached_property
     def round(self) -> Round:
         """The round with each trial's consent, best first."""
-        rivals = self.rivals
-        if len(self.statistics.all) > 1:
-            rivals = _consented(self.statistics, self.chosen, rivals, self.options.out_of_sight_nats)
+        rivals, every = self.rivals, self.statistics.all
+        without = [fit(self.statistics, self.chosen, every - {k}) for k in every] if len(every) > 1 else []
+        if without:
+            rivals = _consented(self.statistics, without, rivals, self.options.out_of_sight_nats)
         rivals = sorted(rivals, key=lambda rival: -rival.weighed)
         names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
         places = {n: [r for r in rivals if r.candidate.effect.name == n] for n in names}
@@ -56,7 +57,8 @@ class Scanned:
         if (best := found.named) is None:
             return found
         appearance = self._appearance(places[best.candidate.effect.name])
-        return replace(found, appearance=appearance, compared=_compared(self.statistics, self.chosen, found))
+        compared = _compared(self.statistics, self.chosen, without, found)
+        return replace(found, appearance=appearance, compared=compared)
 
     def _appearance(self, places: Sequence[Rival]) -> float:
         """Return ``Round.appearance`` of the places of an effect."""
@@ -110,9 +112,12 @@ def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candi
     return found
 
 
-def _compared(statistics: Statistics, chosen: Sequence[Candidate], found: Round) -> tuple[Rival, ...]:
+def _compared(
+    statistics: Statistics, chosen: Sequence[Candidate], without: Sequence[Posterior], found: Round
+) -> tuple[Rival, ...]:
     """Return the rivals with sizes averaged over orders of magnitude where they explain nearly what the best does.
 
+    ``without`` is the base fitted to all trials but each in turn; nothing where there is one alone.
     A widespread effect keeps its own prior: it is compared with what is ordinary, which is small.
     """
     best, rivals = found.rivals[0], list(found.rivals)
@@ -121,11 +126,8 @@ def _compared(statistics: Statistics, chosen: Sequence[Candidate], found: Round)
     which = [k for k in near if not rivals[k].candidate.effect.widespread]
     some = [rivals[k].candidate for k in which]
     evidence = scale_averaged_gains(statistics, fit(statistics, chosen), some)
-    base = [fit(statistics, chosen, statistics.all - {k}) for k in statistics.all]
     crossed = (
-        _crossed(base, evidence, lambda without: scale_averaged_gains(statistics, without, some))
-        if len(base) > 1
-        else evidence
+        _crossed(without, evidence, lambda base: scale_averaged_gains(statistics, base, some)) if without else evidence
     )
     less, others = marginalise_per_trial(statistics, [*chosen, replace(best.candidate, widened=LOOSE)])
     beside = scale_averaged_gains(less, fit(less, others), some)
@@ -135,10 +137,12 @@ def _compared(statistics: Statistics, chosen: Sequence[Candidate], found: Round)
 
 
 def _consented(
-    statistics: Statistics, chosen: Sequence[Candidate], rivals: Sequence[Rival], out_of_sight: float
+    statistics: Statistics, without: Sequence[Posterior], rivals: Sequence[Rival], out_of_sight: float
 ) -> list[Rival]:
-    """Return the rivals, with the consent of each trial to those that may come out best, or near."""
-    base = [fit(statistics, chosen, statistics.all - {k}) for k in statistics.all]
+    """Return the rivals, with the consent of each trial to those that may come out best, or near.
+
+    ``without`` is the base fitted to all trials but each in turn.
+    """
     asked, best = [], -math.inf
     # What all trials together do not support needs no consent of each.
     silent, waiting = [r for r in rivals if r.evidence <= 0.0], [r for r in rivals if r.evidence > 0.0]
@@ -147,20 +151,20 @@ def _consented(
         waiting = [r for r in waiting if r.weighed < top - out_of_sight]
         whole = torch.tensor([r.evidence for r in fresh]).to(statistics.trials[0].moment)
         own = [r.candidate for r in fresh]
-        crossed = _crossed(base, whole, lambda without, own=own: gains(statistics, without, own)[0]).tolist()
+        crossed = _crossed(without, whole, lambda base, own=own: gains(statistics, base, own)[0]).tolist()
         asked += [replace(r, crossed=x) for r, x in zip(fresh, crossed, strict=True)]
         best = max(r.weighed for r in asked)
     return asked + waiting + silent
 
 
 def _crossed(
-    base: Sequence[Posterior], whole: Float[Tensor, " some"], gained: Callable[[Posterior], Float[Tensor, " some"]]
+    without: Sequence[Posterior], whole: Float[Tensor, " some"], gained: Callable[[Posterior], Float[Tensor, " some"]]
 ) -> Float[Tensor, " some"]:
     """Return the log evidence that candidates add to each trial given the others, summed over the trials [nat].
 
-    By the chain rule, that of a trial is the evidence of all less that of the others, to which ``base`` was fitted.
+    By the chain rule, that of a trial is the evidence of all less that of the others, to which ``without`` was fitted.
     """
-    return sum((whole - gained(without) for without in base), start=torch.zeros_like(whole))
+    return sum((whole - gained(base) for base in without), start=torch.zeros_like(whole))
 
 
 def _mean(weighed: Sequence[float]) -> float:
