@@ -37,7 +37,7 @@ class Slides:
     row: Int[Tensor, " slides"]
     """Three times the marker, plus the axis of its segment along which it slides."""
     angle: Int[Tensor, " slides"]
-    """Which of the angles it goes with."""
+    """The row in ``angles`` of the angle with which it goes."""
     angles: Float[Tensor, "angles frames"]
     """All angles of joints, from their means [rad]."""
     group: Int[Tensor, " slides"]

@@ -29,6 +29,9 @@ Value = TypeVar("Value")
 DIGEST, LENGTH, ALIGN = 32, 8, 64
 PIECE = 1 << 22
 """Values of an array that are made contiguous at a time."""
+SPARED = 512 << 20
+"""Bytes of mapped tensors that stay in memory; chosen: what a session of short trials has. To read them again and again
+took a fifteenth of an evaluation of twelve walks, while an hour's recording has ten times as many."""
 _maps: "weakref.WeakSet[mmap.mmap]" = weakref.WeakSet()
 _trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
@@ -122,19 +125,26 @@ def make_room(file: BinaryIO, shape: Sequence[int]) -> torch.Tensor:
 
 
 def release() -> None:
-    """Give back the memory of all mapped tensors; whoever looks at them again has them from the file.
+    """Give back the memory of all mapped tensors, if they are many; whoever looks at them again has them from the file.
 
     What glibc keeps of freed memory goes too: after an hour's recording that were 450 MiB in pieces.
     """
-    unload()
-    if _trim is not None:
+    if unload() and _trim is not None:
         _trim(0)
 
 
-def unload() -> None:
-    """Give back the memory of all mapped tensors, and no other: freed memory stays for what is made next."""
-    for mapped in list(_maps):
-        mapped.madvise(mmap.MADV_DONTNEED)
+def unload() -> bool:
+    """Give back the memory of all mapped tensors, if they are many, and no other: freed memory stays for what is next.
+
+    Returns:
+        Whether it was given back.
+    """
+    mapped = list(_maps)
+    if sum(map(len, mapped)) <= SPARED:
+        return False
+    for one in mapped:
+        one.madvise(mmap.MADV_DONTNEED)
+    return True
 
 
 def _map(file: Any, access: int = mmap.ACCESS_COPY) -> mmap.mmap:
