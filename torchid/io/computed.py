@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from itertools import chain, combinations
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 
 from torchid.errors import Note
@@ -80,13 +81,9 @@ def _sample(position: Float[np.ndarray, "frames points 3"]) -> Float[np.ndarray,
 
 
 def _lengths(x: Float[np.ndarray, "frames points 3"]) -> Float[np.ndarray, "frames points points"]:
-    """Distances of all points from each other, without an array of differences three times as large."""
-    square = np.zeros((len(x), x.shape[1], x.shape[1]))
-    for axis in range(3):
-        off = x[:, :, None, axis] - x[:, None, :, axis]
-        off *= off
-        square += off
-    return np.sqrt(square, out=square)
+    """Distances of all points from each other, each of its own difference: products would cost half the digits."""
+    places = torch.from_numpy(x)
+    return torch.cdist(places, places, compute_mode="donot_use_mm_for_euclid_dist").numpy()
 
 
 def _free(found: dict[int, str], labels: tuple[str, ...]) -> list[int]:
@@ -97,9 +94,7 @@ def _no_places(x: Float[np.ndarray, "frames points 3"]) -> list[int]:
     """Values with two coordinates that are always zero (powers), and those far from all that is seen."""
     seen = np.asarray(np.isfinite(x[..., 0]))
     flat = ((x == 0.0) | ~seen[..., None]).all(axis=0).sum(axis=-1) == 2
-    middle = np.stack(
-        [np.median(frame[mask], axis=0) if mask.any() else frame[0] for frame, mask in zip(x, seen, strict=True)]
-    )
+    middle = torch.from_numpy(x).nanmedian(dim=1).values.numpy()
     near = (np.linalg.norm(x - middle[:, None], axis=-1) <= AWAY).sum(axis=0) >= seen.sum(axis=0) / 2
     return np.flatnonzero((flat | ~near) & (seen.sum(axis=0) >= SEVERAL)).tolist()
 
@@ -213,7 +208,7 @@ def _fixed(
     moved = [k for k in free if seen[:, k].any() and (np.ptp(x[seen[:, k], k], axis=0) > MOVED).any()]
     apart = length[:, moved][:, :, moved]
     often = np.isfinite(apart).sum(axis=0) > len(x) / 2
-    high, low = (f(np.nan_to_num(apart, nan=empty), axis=0) for f, empty in ((np.max, -np.inf), (np.min, np.inf)))
+    high, low = np.fmax.reduce(apart, axis=0, initial=-np.inf), np.fmin.reduce(apart, axis=0, initial=np.inf)
     held = often & (high - low <= EXACT) & ~np.eye(len(moved), dtype=bool)
     if 2 * held.any(axis=1).sum() >= len(moved):
         return []

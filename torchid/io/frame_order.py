@@ -104,8 +104,11 @@ def _joints(position: np.ndarray, asked: np.ndarray) -> list[int]:
 
 def _of_most(leaps: np.ndarray) -> np.ndarray:
     """What most of the markers exceed in each frame (frames, markers), 0 where too few are seen."""
-    enough = np.isfinite(leaps).sum(axis=1) >= MARKERS[0]
-    return np.where(enough, np.nan_to_num(np.nanquantile(leaps, MOST, axis=1)), 0.0)
+    count, ranked = np.isfinite(leaps).sum(axis=1), np.sort(leaps, axis=1)  # what is not seen comes last
+    at = MOST * np.maximum(count - 1, 0)
+    ends = np.stack([np.floor(at), np.ceil(at)], axis=1).astype(int)
+    lower, upper = np.nan_to_num(np.take_along_axis(ranked, ends, axis=1)).T
+    return np.where(count >= MARKERS[0], lower + (at % 1.0) * (upper - lower), 0.0)
 
 
 def _leap(part: np.ndarray) -> np.ndarray:

@@ -24,11 +24,13 @@ _asked: list[bool] = []
 
 
 def seldom_collect() -> None:
-    """Look for garbage seldom, and not at the end of the process, when all of it goes anyway.
+    """Look for garbage seldom, never among what is there by now, and not at the end, when all of it goes anyway.
 
-    A program decides this for itself, before its imports; importing the library does not.
+    A program decides this for itself, before its imports; importing the library does not. One that must answer at once
+    decides it again behind them.
     """
     gc.set_threshold(SELDOM, *gc.get_threshold()[1:])
+    gc.freeze()
     atexit.register(gc.freeze)
 
 

@@ -25,6 +25,7 @@ from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.estimation.watch import Notice
 from torchid.live.exercises.advice import Account, Advice, Adviser
 from torchid.recording import Plate
+from torchid.storage.allocator import seldom_collect
 from torchid.storage.snapshot import from_bytes, to_bytes
 
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -201,6 +202,7 @@ def _waiting(jobs: Queue, put: Any, own: Refining) -> Iterator[list[tuple]]:
 
 def _serve(jobs: Queue, put: Any, pipe: Connection, given: bytes, rest: tuple) -> None:
     torch.set_num_threads(1)
+    seldom_collect()
     fit, prior, weight, plates, guide, static = from_bytes(given)
     config, mass, cutoff_hz, half_life_s, labels, rate_hz, force_rate_hz = rest
     subject = LiveSubject(config, fit, prior, mass, weight, cutoff_hz, static, half_life_s)
