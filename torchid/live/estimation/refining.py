@@ -24,6 +24,9 @@ FIRST_S, LAST_S = 5.0, 180.0
 squats halve the distance of markers that standing alone leaves, and an hour is not to be kept in memory."""
 FRAMES = 150
 """Choice. Frames of the motion in a fit: it takes two seconds; twice as many bring markers of squats 0.1 mm nearer."""
+BATCH = 64
+"""Choice. Frames that are mended together, before the block that they belong to is complete: of a block of 200 frames a
+seventh of the time that it takes to identify is spent so while its last frames are still to come."""
 SLICE = 512
 """Choice. Frames that are identified anew between two blocks of the stream: a part of a second."""
 
@@ -64,6 +67,7 @@ class Refining:
         self._stream = labels, rate_hz, plates, force_rate_hz
         self._by, self._next = ByGeometry(subject, *self._stream), None
         self._waiting: list[MessagePiece] = []
+        self._unmended = 0
         self._past: list[MessagePiece] = []
         self._due = FIRST_S * rate_hz if subject.static is not None else math.inf
         self._known = self._fitted = 0
@@ -93,6 +97,7 @@ class Refining:
             piece: frames with postures that are nearly right, and samples.
         """
         self._waiting.append(piece)
+        self._unmended += len(piece.index)
         if len(piece.index):
             self._newest = max(self._newest, int(piece.index.max()))
 
@@ -102,7 +107,7 @@ class Refining:
         Returns:
             Whether there was a block.
         """
-        done = self._newest + 1 >= self.identifier.due and self._mend()
+        done = (self._newest + 1 >= self.identifier.due or self._unmended >= BATCH) and self._mend()
         if self._next is not None:
             self._go_on(self._next)
         elif self._known >= self._due:
@@ -126,7 +131,7 @@ class Refining:
 
     def _mend(self) -> bool:
         """Mend all postures that wait, in one batch, and identify from what is complete."""
-        waiting, self._waiting = self._waiting, []
+        waiting, self._waiting, self._unmended = self._waiting, [], 0
         if waiting:
             piece = self._by.take(joined(waiting))
             if math.isfinite(self._due):
