@@ -53,3 +53,18 @@ def test_large_tensors_are_kept_for_a_while():
     if not kept:
         pytest.skip("this C library has no mallopt")
     assert inside < 100 < outside
+
+
+GARBAGE_CHILD = """
+import gc
+from torchid.storage.allocator import SELDOM, seldom_collect
+seldom_collect()
+import torchid.run
+print(gc.get_threshold()[0] == SELDOM, gc.get_stats()[2]["collections"], gc.get_freeze_count() > 0)
+"""
+
+
+def test_a_start_looks_for_garbage_seldom():
+    """However much is imported, it is never looked through as a whole."""
+    done = subprocess.run([sys.executable, "-c", GARBAGE_CHILD], capture_output=True, text=True, check=True)  # noqa: S603
+    assert done.stdout.split() == ["True", "0", "True"]

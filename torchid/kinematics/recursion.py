@@ -97,6 +97,13 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     return out
 
 
+def length(x: Tensor) -> Tensor:
+    """Length along the last dimension but one of (..., 3, frames) tensors, which ``norm`` takes thirty times as long
+    for."""
+    a, b, c = x.unbind(-2)
+    return (a * a).addcmul_(b, b).addcmul_(c, c).sqrt_()
+
+
 def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry | Joints) -> Poses:
     """Walk the tree: poses of all bodies; the axes of their joints follow from them on demand.
 

@@ -70,38 +70,60 @@ def suspects(
     return found
 
 
-def misfit(
-    position: Float[Tensor, "frames markers 3"],
-    together: Bool[Tensor, "markers markers"],
-    shape: MarkerShape,
-    pair: tuple[int, int],
-) -> ExchangeMisfit:
-    """Return how two markers fit a shape, as labelled and exchanged.
+@dataclass(frozen=True)
+class PairDistances:
+    """Distances of two markers from those beside them, one row for each of either's."""
 
-    Where one of them is not seen the other tells. Fewer than two distances on either side tell nothing.
+    own: list[int]
+    """Which of the two the row is of."""
+    beside: list[int]
+    """The marker beside it."""
+    now: Float[Tensor, "distances frames"]
+    """As labelled [m]."""
+    undone: Float[Tensor, "distances frames"]
+    """With the names exchanged [m]."""
+    twice: Bool[Tensor, " frames"]
+    """As in ``ExchangeMisfit``."""
+
+    def misfit(self, shape: MarkerShape) -> ExchangeMisfit:
+        """Return how the two fit a shape, as labelled and exchanged.
+
+        Where one of them is not seen the other tells. Fewer than two distances on either side tell nothing.
+
+        Args:
+            shape: of another trial.
+        """
+        usual = shape.median[self.own, self.beside][:, None]
+        return ExchangeMisfit(_mean((self.now - usual).abs()), _mean((self.undone - usual).abs()), self.twice)
+
+
+def distances_of(
+    place: Float[Tensor, "markers frames 3"], together: Bool[Tensor, "markers markers"], pair: tuple[int, int]
+) -> PairDistances:
+    """Return the distances of two markers from those on their segment.
 
     Args:
-        position: p_WM_W [m].
+        place: p_WM_W [m].
         together: pairs on one segment.
-        shape: of another trial.
         pair: indices of the markers.
     """
-    now, undone = [], []
-    around = set[int]()
-    for own, other in (pair, pair[::-1]):
-        beside = [k for k in together[own].nonzero()[:, 0].tolist() if k not in pair]
-        around.update(beside)
-        to = position[:, beside]
-        now.append(((position[:, own, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
-        undone.append(((position[:, other, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
-    both = torch.isfinite(position[:, list(pair)]).all(dim=2).all(dim=1)
-    return ExchangeMisfit(_mean(torch.cat(now, dim=1)), _mean(torch.cat(undone, dim=1)), both & (len(around) > 1))
+    each = [
+        (own, other, k)
+        for own, other in (pair, pair[::-1])
+        for k in together[own].nonzero()[:, 0].tolist()
+        if k not in pair
+    ]
+    own, other, beside = ([one[n] for one in each] for n in range(3))
+    to = place[beside]
+    now, undone = ((place[some] - to).norm(dim=2) for some in (own, other))
+    both = torch.isfinite(place[list(pair)]).all(dim=2).all(dim=0)
+    return PairDistances(own, beside, now, undone, both & (len(set(beside)) > 1))
 
 
-def _mean(misfits: Float[Tensor, "frames distances"]) -> Float[Tensor, " frames"]:
+def _mean(misfits: Float[Tensor, "distances frames"]) -> Float[Tensor, " frames"]:
     """Return the mean of those that are known; NaN where fewer than two are."""
-    enough = torch.isfinite(misfits).sum(dim=1) >= 2
-    return torch.where(enough, misfits.nanmean(dim=1), torch.nan)
+    known = torch.isfinite(misfits).sum(dim=0)
+    return torch.where(known >= 2, misfits.nansum(dim=0) / known, torch.nan)
 
 
 def find_exchanges(
@@ -173,9 +195,10 @@ def _told(
     position: Tensor, together: Tensor, shapes: Sequence[MarkerShape], pairs: Sequence[tuple[int, int]]
 ) -> list[Told]:
     """Return the pairs whose exchange most shapes tell in some frames."""
-    found = []
+    found, place = [], position.transpose(0, 1).contiguous()
     for pair in pairs:
-        each = [misfit(position, together, shape, pair) for shape in shapes]
+        apart = distances_of(place, together, pair)
+        each = [apart.misfit(shape) for shape in shapes]
         votes = torch.stack([one.exchanged for one in each]).sum(dim=0)
         told = torch.stack([torch.isfinite(one.now) & torch.isfinite(one.undone) for one in each]).sum(dim=0)
         at = (2 * votes > told) & (votes > 0)
