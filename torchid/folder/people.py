@@ -10,7 +10,7 @@ from statistics import linear_regression
 from torchid.folder.statements import SMALLEST_M, TALLEST_M, Person, statements_of
 from torchid.folder.survey import Surveyed, plain_name
 from torchid.io.files import bids_subject, unique_names
-from torchid.kinematics.chain import chain_poses
+from torchid.kinematics.recursion import body_transforms
 from torchid.model.marker_set import MarkerSet
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
@@ -92,7 +92,7 @@ def stature_of(standing: Surveyed, markers: MarkerSet) -> float | None:
 def _template_heights(model: Model) -> dict[str, float]:
     """Return heights of the upright landmarks of the template [m]."""
     tree, xi = model.tree, model.geometry.mean
-    X_WB = chain_poses(tree, xi.new_zeros(1, len(tree.dofs)), model.geometry.geometry(xi))[0]
+    X_WB = body_transforms(tree, xi.new_zeros(1, len(tree.dofs)), model.geometry.geometry(xi))[0]
     return {
         name: float((X_WB[tree.index(one.segment)] @ xi.new_tensor([*one.p_BM_B, 1.0]))[2])
         for name, one in model.landmarks.items()

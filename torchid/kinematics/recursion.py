@@ -15,12 +15,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.kinematics.plan import Plan
+from torchid.kinematics.plan import Plan, plan_tree
 from torchid.kinematics.tables import Joints, Tables, make_joints
 from torchid.model.model import Geometry
 from torchid.model.rotation import compose, exp, rodrigues, turned
-from torchid.model.tree import BASE_DOFS
+from torchid.model.tree import BASE_DOFS, Tree
 
+CHUNK = 1024
+"""Frames whose transforms are made together: their intermediates stay in the cache."""
 SMALL = 20_000
 """Entries below which one call of the library's cross product beats six strided ones (above, it is half as fast)."""
 
@@ -167,6 +169,25 @@ def _carried(tables: Tables, w: Tensor, rate: Tensor) -> Float[Tensor, "turns 3 
         slots.append((slots[-1] + rate[done:start]).index_select(0, before))
         done = start
     return torch.cat(slots)
+
+
+def body_transforms(
+    tree: Tree, q: Float[Tensor, "frames dofs"], geometry: Geometry
+) -> Float[Tensor, "frames bodies 4 4"]:
+    """X_WB of all bodies in the tree's order, frames first.
+
+    Args:
+        q: coordinates [m, rad].
+        geometry: offsets and hinge angles.
+    """
+    plan = plan_tree(tree)
+    joints, place = make_joints(plan, geometry), list(plan.position)
+    X_WB = q.new_zeros(len(q), len(tree.bodies), 4, 4)
+    X_WB[..., 3, 3] = 1.0
+    for some, X in zip(q.split(CHUNK), X_WB.split(CHUNK), strict=True):
+        at = poses(plan, some.T.contiguous(), joints)
+        X[..., :3, :3], X[..., :3, 3] = at.R[place].permute(3, 0, 2, 1), at.p[place].permute(2, 0, 1)
+    return X_WB
 
 
 def points(at: Poses, body: Tensor, p_BM_B: Float[Tensor, "markers 3"]) -> Float[Tensor, "markers 3 frames"]:

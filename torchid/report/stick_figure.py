@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.kinematics.chain import chain_poses
+from torchid.kinematics.recursion import body_transforms
 from torchid.model.model import Geometry, Model
 
 
@@ -17,7 +17,7 @@ def stick_points(
         tip: far end of each body that carries no other, in its axes (``tips``).
     """
     tree = model.tree
-    X_WB = chain_poses(tree, q[None], geometry)[0]
+    X_WB = body_transforms(tree, q[None], geometry)[0]
     origin, sticks = X_WB[:, :3, 3], []
     for k, body in enumerate(tree.bodies):
         if body.parent >= 0:

@@ -17,7 +17,7 @@ from torchid.errors import DataError
 from torchid.extension.open_geometry import right_subject
 from torchid.geometry.tracking import modelled
 from torchid.io.storage import write_storage
-from torchid.kinematics.chain import chain_poses
+from torchid.kinematics.recursion import body_transforms
 from torchid.model.model import Model
 from torchid.model.opensim.model import CoordinateKind
 from torchid.model.opensim.writing_back import identified_model, write_back
@@ -191,8 +191,8 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "a": (by_dof, motion.a[part].numpy()),
             "torque": (by_dof, outcome.torque[name][part].numpy()),
             "torque_scaled": (by_dof, outcome.torque_scaled[name][part].numpy()),
-            "X_WB": (by_body, chain_poses(tree, motion.q[part], fit.geometry).numpy()),
-            "X_WB_scaled": (by_body, chain_poses(tree, scaled.motion.q[part], outcome.scaled.geometry).numpy()),
+            "X_WB": (by_body, body_transforms(tree, motion.q[part], fit.geometry).numpy()),
+            "X_WB_scaled": (by_body, body_transforms(tree, scaled.motion.q[part], outcome.scaled.geometry).numpy()),
             "markers_measured": (by_marker, trial.markers.frames(part).select(labels).position.numpy()),
             "markers_modelled": (by_marker, modelled(fit, tracked.q[part]).numpy()),
             "observable": (("time",), tracked.observable[part].numpy()),

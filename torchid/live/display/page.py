@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchid.errors import ConfigError
 from torchid.geometry.result import GeometryFit
-from torchid.kinematics.chain import chain_poses
+from torchid.kinematics.recursion import body_transforms
 from torchid.live.display.board import Board
 from torchid.live.estimation.beside import LiveEstimate, apart
 from torchid.live.estimation.identifier import BLOCK_S, LAG_PERIODS, LiveSubject
@@ -207,7 +207,7 @@ class Show:
         self._found_q = self._found_q or bool(np.isfinite(some.error).any())
         X_WB = None
         if self._found_q:
-            X_WB = chain_poses(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
+            X_WB = body_transforms(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
         error = np.append(some.error, np.nan)[self._columns]
         at = some.time_s - self._delay_s
         while len(self._forces) > 1 and self._forces[1][0] <= at:
@@ -233,7 +233,7 @@ def drawn(fit: GeometryFit, postures: Float[Tensor, "postures dofs"]) -> Drawing
     tree, mean = fit.model.tree, fit.model.inertia.mean
     ends = (2.0 * mean[:, 1:4] / mean[:, :1].clamp(min=1e-9)).numpy()
     found = []
-    for k, X_WB in enumerate(chain_poses(tree, postures, fit.geometry).numpy()):
+    for k, X_WB in enumerate(body_transforms(tree, postures, fit.geometry).numpy()):
         own = sticks([body.parent for body in tree.bodies], X_WB, ends)
         feet = own[:, :, 2].min()
         own -= np.array([X_WB[0, 0, 3], X_WB[0, 1, 3], feet])
