@@ -60,11 +60,11 @@ import gc
 from torchid.storage.allocator import SELDOM, seldom_collect
 seldom_collect()
 import torchid.run
-print(gc.get_threshold()[0] == SELDOM, gc.get_stats()[2]["collections"], gc.get_freeze_count() > 0)
+print(gc.get_threshold()[0] == SELDOM, gc.get_stats()[2]["collections"])
 """
 
 
 def test_a_start_looks_for_garbage_seldom():
     """However much is imported, it is never looked through as a whole."""
     done = subprocess.run([sys.executable, "-c", GARBAGE_CHILD], capture_output=True, text=True, check=True)  # noqa: S603
-    assert done.stdout.split() == ["True", "0", "True"]
+    assert done.stdout.split() == ["True", "0"]

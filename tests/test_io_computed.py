@@ -111,6 +111,13 @@ def test_markers_stay(seed: int, frames: int) -> None:
     assert not told(markers, markers[:, :0])
 
 
+def test_markers_of_two_people_apart_stay(seed: int) -> None:
+    """As many markers on either side of a hall: each side is a place in the room."""
+    first = segments(seed)
+    both = np.concatenate([first, first[:, ::-1] + np.array([15.0, 0.0, 0.0])], axis=1)
+    assert "no place in a room" not in computed_points(tuple(f"m{k}" for k in range(24)), both).values()
+
+
 def test_markers_that_a_filter_smoothed_stay(seed: int) -> None:
     """Noise of a rigid plate after a moving average over a quarter of a second is still noise."""
     window = np.ones(25) / 25

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from torchid.io import read_trial
+from torchid.io import frame_order, read_trial
 from torchid.io.frame_order import frames_out_of_order
 
 FRAMES, MARKERS = 300, 9
@@ -70,3 +70,15 @@ def test_no_public_recording_is_accused(data_dir) -> None:
     for path in paths:
         codes = {note.code for note in read_trial("a", path).notes}
         assert not codes & {"markers.order", "markers.steps", "markers.repeated", "plates.load", "plates.force"}, path
+
+
+def test_what_most_exceed_is_a_quantile(seed: int) -> None:
+    """NumPy's, which goes row by row: with markers that are not seen, and steps beside which nothing moves."""
+    random = np.random.default_rng(seed)
+    leaps = random.exponential(size=(200, 8))
+    leaps[random.random(leaps.shape) < 0.2] = np.nan
+    leaps[random.random(leaps.shape) < 0.1] = np.inf
+    enough = np.isfinite(leaps).sum(axis=1) >= frame_order.MARKERS[0]
+    found, quantile = frame_order.of_most(leaps), np.nanquantile(leaps[enough], frame_order.MOST, axis=1)
+    np.testing.assert_allclose(found[enough].clip(max=1e6), quantile.clip(max=1e6), rtol=1e-12)
+    assert not found[~enough].any()

@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 import small_session as small
 import torch
+from documentation.flame import boxes, drawn, own_frames, tree_of
 
 from torchid.io import read_trial
 from torchid.storage.snapshot import from_bytes
@@ -115,3 +117,24 @@ def test_runs_are_compared_by_every_number(tmp_path, capsys):
     write("lost", 70.0, [], [])
     assert [compare([str(tmp_path / "old"), str(tmp_path / name)]) for name in ("same", "off", "lost")] == [0, 1, 1]
     assert "inertia.json/mass" in capsys.readouterr().out
+
+
+def test_a_flame_graph_is_of_named_functions_of_its_own(seed):
+    """Other code counts for who called it, imports for themselves; functions lie within their callers, side by side."""
+    called = (
+        "main (x.py:1);run (torchid/cli.py:9);<module> (torchid/a.py:1);f.<locals>.g (torchid/a/b.py:3);norm (torch/x)"
+    )
+    assert own_frames(called) == ["run (cli)", "f.<locals>.g (a/b)"]
+    assert own_frames(f"{called};_find_and_load (importlib)") == ["imports"]
+    rng, names = np.random.default_rng(seed), "abcdef"
+    stacks = [
+        ";".join(f"{names[k]} (torchid/x.py:{k})" for k in rng.integers(6, size=rng.integers(1, 6))) for _ in range(300)
+    ]
+    root = tree_of([*(f"{stack} {k % 3 + 1}" for k, stack in enumerate(stacks)), ""])
+    assert root.count == 600
+    ends = [(left, left + call.count / root.count, depth) for call, left, depth in boxes(root, root)]
+    for k, (left, right, depth) in enumerate(ends):
+        level = [other for other in ends[:k] if other[2] == depth]
+        assert all(right <= a + 1e-9 or left >= b - 1e-9 for a, b, _ in level)
+        assert not depth or any(a - 1e-9 <= left and right <= b + 1e-9 for a, b, d in ends[:k] if d == depth - 1)
+    assert drawn(root).count("<rect") == len(ends)

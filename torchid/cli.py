@@ -251,7 +251,6 @@ def live(
         from torchid.live.run import run_live
 
         keep_memory()
-        seldom_collect()
         possibilities = Possibilities(seated, not no_arms) if guide or seated or no_arms else None
         with progress_bars() as progress:
             page = None if headless else _live_page(port, host)

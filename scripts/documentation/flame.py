@@ -17,7 +17,7 @@ NARROWEST = 0.004
 """Share of the time below which a function is left out; those above are to be read."""
 COLOURS = ("#f4c7a1", "#f0d9a8", "#f2b8a0", "#ecd0b5")
 OWN = re.compile(r"^(?P<name>.+) \((?P<file>torchid/[^:]+)(:\d+)?\)$")
-IMPORT, START = "_find_and_load (", "start: imports"
+IMPORT, IMPORTS = "_find_and_load (", "imports"
 
 
 @dataclass
@@ -30,15 +30,16 @@ class Call:
 
 
 def own_frames(stack: str) -> list[str]:
-    """The frames of torchid's functions, nameless ones left out; what is imported is one frame.
+    """The frames of torchid's functions but for those without a name; what is imported, whenever it is, is one frame.
 
     Args:
         stack: frames, outermost first, with semicolons between.
     """
-    frames = [START] if IMPORT in stack else []
-    found = [] if frames else [match for one in stack.split(";") if (match := OWN.match(one))]
-    named = [(m["name"], m["file"].removeprefix("torchid/").removesuffix(".py")) for m in found if "<" not in m["name"]]
-    return frames + [f"{name} ({file})" for name, file in named]
+    if IMPORT in stack:
+        return [IMPORTS]
+    found = [match for one in stack.split(";") if (match := OWN.match(one))]
+    named = [(m["name"], m["file"].removeprefix("torchid/").removesuffix(".py")) for m in found]
+    return [f"{name} ({file})" for name, file in named if not name.endswith(">")]
 
 
 def tree_of(stacks: Iterable[str]) -> Call:
@@ -48,7 +49,7 @@ def tree_of(stacks: Iterable[str]) -> Call:
         stacks: lines of the profiler.
     """
     root = Call("run")
-    for line in stacks:
+    for line in filter(str.strip, stacks):
         stack, _, count = line.rpartition(" ")
         root.count += int(count)
         at = root
@@ -97,4 +98,7 @@ def drawn(root: Call) -> str:
 
 if __name__ == "__main__":
     source, picture = map(Path, sys.argv[1:])
-    picture.write_text(drawn(tree_of(source.read_text(encoding="utf-8").splitlines())), encoding="utf-8")
+    sampled = tree_of(source.read_text(encoding="utf-8").splitlines())
+    if not sampled.count:
+        sys.exit(f"{source}: nothing was sampled")
+    picture.write_text(drawn(sampled), encoding="utf-8")

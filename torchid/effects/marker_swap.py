@@ -15,7 +15,7 @@ from torchid.effects.parameter import Parameter
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.quantities import NamedEffect
 from torchid.effects.traits import Correction, Occurrence, Proof, Site
-from torchid.kinematics.recursion import length
+from torchid.kinematics.recursion import lengths
 from torchid.runs import runs
 
 SWAPPED = 5
@@ -93,7 +93,7 @@ def _near(markers: MarkerErrors) -> list[tuple[int, int]]:
     and |D| is the distance at least.
     """
     p, seen = markers.sight.p.permute(2, 0, 1), markers.weight > 0.0
-    error = (seen * length(markers.error)).amax(1)
+    error = (seen * lengths(markers.error)).amax(1)
     # Between the frames that are looked at, a distance shrinks by what both markers stray at most.
     looked = p[::EVERY]
     strays = (p - looked.repeat_interleave(EVERY, 0)[: len(p)]).norm(dim=2).amax(0)

@@ -39,7 +39,7 @@ class Slides:
     angle: Int[Tensor, " slides"]
     """The row in ``angles`` of the angle with which it goes."""
     angles: Float[Tensor, "angles frames"]
-    """All angles of joints, from their means [rad]."""
+    """The angles with which anything slides, from their means [rad]."""
     group: Int[Tensor, " slides"]
     """Equal where segment, axis and angle are."""
     loose: Float[Tensor, " slides"]
@@ -83,7 +83,8 @@ def slides_of(tree: Tree, body: list[int], q: Float[Tensor, "dofs frames"], loos
     groups = {name: n for n, name in enumerate(dict.fromkeys(one[3] for one in every))}
     marker, row, angle = (torch.tensor([one[n] for one in every], device=q.device).long() for n in range(3))
     group = torch.tensor([groups[one[3]] for one in every], device=q.device).long()
-    angles = tree.axes(q)
+    used, angle = angle.unique(return_inverse=True)
+    angles = tree.axes(q)[used]
     own = loose.to(q) / loose.to(q).square().mean().sqrt()
     return Slides(marker, row, angle, angles - angles.mean(1, keepdim=True), group, own[marker])
 
@@ -127,7 +128,7 @@ class SlideSums:
         self.scores += (angles @ turned.flatten(1)).view(len(angles), *turned.shape[1:])[own.angle, own.row]
         taken = (motion.view(few, -1, markers, 3)[..., None, :] @ R_BW.mT[:, None])[..., 0, :].flatten(2)
         told = torch.diag_embed(weight.repeat_interleave(3, dim=1)) - taken.mT @ taken
-        for angle in own.angle.unique().tolist():  # with one, few rows move: a tenth of the products of all with all
+        for angle in range(len(angles)):  # with one, few rows move: a tenth of the products of all with all
             mine = torch.nonzero(own.angle == angle)[:, 0]
             pairs = (angles * angles[angle]) @ told[:, own.row[mine]].flatten(1)
             self.information[mine] += pairs.view(len(angles), len(mine), -1)[own.angle, :, own.row].mT

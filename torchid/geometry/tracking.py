@@ -13,7 +13,7 @@ from torchid.geometry.problem import MarkerProblem
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.trial_problem import posture_prior, settled, trial_problem
 from torchid.kinematics.plan import plan_tree
-from torchid.kinematics.recursion import length, points, poses
+from torchid.kinematics.recursion import lengths, points, poses
 from torchid.recording import Markers
 
 PIECE = 8192
@@ -99,7 +99,7 @@ def _track_piece(
     if bridge and not bool((problem.weight > 0).all()):
         q = bridge_gaps(problem, q, fit.xi, typical)
     _, _, residual = problem.residual(q, fit.xi)
-    error = torch.where(problem.weight > 0, length(residual), torch.nan)
+    error = torch.where(problem.weight > 0, lengths(residual), torch.nan)
     return q.T, error.T, _observable(problem)
 
 

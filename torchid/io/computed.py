@@ -94,7 +94,7 @@ def _no_places(x: Float[np.ndarray, "frames points 3"]) -> list[int]:
     """Values with two coordinates that are always zero (powers), and those far from all that is seen."""
     seen = np.asarray(np.isfinite(x[..., 0]))
     flat = ((x == 0.0) | ~seen[..., None]).all(axis=0).sum(axis=-1) == 2
-    middle = torch.from_numpy(x).nanmedian(dim=1).values.numpy()
+    middle = torch.from_numpy(x).nanquantile(0.5, dim=1).numpy()
     near = (np.linalg.norm(x - middle[:, None], axis=-1) <= AWAY).sum(axis=0) >= seen.sum(axis=0) / 2
     return np.flatnonzero((flat | ~near) & (seen.sum(axis=0) >= SEVERAL)).tolist()
 

@@ -89,7 +89,7 @@ def _joints(position: np.ndarray, asked: np.ndarray) -> list[int]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of frames without markers
         level = np.nanmedian(off, axis=0)
-        leaps = _of_most(off / np.where(level > 0.0, level, np.nan))
+        leaps = of_most(off / np.where(level > 0.0, level, np.nan))
         found = []
         for k in np.flatnonzero(leaps > LEAP[0]).tolist():
             sides = [off[max(0, k - BESIDE[1]) : max(0, k - BESIDE[0])], off[k + BESIDE[0] + 1 : k + BESIDE[1] + 1]]
@@ -97,18 +97,19 @@ def _joints(position: np.ndarray, asked: np.ndarray) -> list[int]:
                 continue  # too short to tell a leap from the rest
             beside = np.fmax.reduce([np.nanmedian(side, axis=0) for side in sides if len(side)])
             largest = leaps[k] >= leaps[max(0, k - 1) : k + 2].max()
-            if largest and _of_most((off[k] / beside)[None])[0] > LEAP[1]:
+            if largest and of_most((off[k] / beside)[None])[0] > LEAP[1]:
                 found.append(k + 1)
     return found
 
 
-def _of_most(leaps: np.ndarray) -> np.ndarray:
+def of_most(leaps: np.ndarray) -> np.ndarray:
     """What most of the markers exceed in each frame (frames, markers), 0 where too few are seen."""
-    count, ranked = np.isfinite(leaps).sum(axis=1), np.sort(leaps, axis=1)  # what is not seen comes last
+    count, ranked = (~np.isnan(leaps)).sum(axis=1), np.sort(leaps, axis=1)  # what is not seen comes last
     at = MOST * np.maximum(count - 1, 0)
     ends = np.stack([np.floor(at), np.ceil(at)], axis=1).astype(int)
     lower, upper = np.nan_to_num(np.take_along_axis(ranked, ends, axis=1)).T
-    return np.where(count >= MARKERS[0], lower + (at % 1.0) * (upper - lower), 0.0)
+    enough = np.isfinite(leaps).sum(axis=1) >= MARKERS[0]
+    return np.where(enough, lower + (at % 1.0) * (upper - lower), 0.0)
 
 
 def _leap(part: np.ndarray) -> np.ndarray:

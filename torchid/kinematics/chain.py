@@ -15,6 +15,7 @@ from jaxtyping import Float
 from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor
 
+from torchid.kinematics.recursion import CHUNK
 from torchid.model.model import Geometry
 from torchid.model.rotation import rotation_matrix
 from torchid.model.tree import BASE_DOFS, Body, Rotation, Tree
@@ -116,7 +117,7 @@ def chain_transforms(
 
 
 def chain_poses(
-    tree: Tree, q: Float[Tensor, "frames dofs"], geometry: Geometry, chunk: int = 1024
+    tree: Tree, q: Float[Tensor, "frames dofs"], geometry: Geometry, chunk: int = CHUNK
 ) -> Float[Tensor, "frames bodies 4 4"]:
     """X_WB of all bodies through pytorch-kinematics, in chunks of frames (its intermediates outgrow the cache).
 
@@ -145,7 +146,7 @@ def chain_points(
     geometry: Geometry,
     body: Tensor,
     p_BM_B: Float[Tensor, "markers 3"],
-    chunk: int = 1024,
+    chunk: int = CHUNK,
 ) -> Float[Tensor, "frames markers 3"]:
     """p_WM_W of points fixed to bodies (tree indices) through pytorch-kinematics."""
     X = chain_poses(tree, q, geometry, chunk)[:, body]

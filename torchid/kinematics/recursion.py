@@ -99,8 +99,8 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     return out
 
 
-def length(x: Tensor) -> Tensor:
-    """Length along the last dimension but one of (..., 3, frames) tensors, which ``norm`` takes thirty times as long
+def lengths(x: Tensor) -> Tensor:
+    """Lengths along the last dimension but one of (..., 3, frames) tensors, which ``norm`` takes thirty times as long
     for."""
     a, b, c = x.unbind(-2)
     return (a * a).addcmul_(b, b).addcmul_(c, c).sqrt_()

@@ -22,6 +22,8 @@ STYLE: Any = {
     "svg.hashsalt": "torchid",
     "text.parse_math": False,
     "axes.formatter.use_mathtext": False,
+    "axes.formatter.useoffset": False,  # what is written above an axis would lie under the title
+    "axes.formatter.limits": (-9, 9),
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,

@@ -16,22 +16,21 @@ OWN = 16 << 20
 LARGE = 1 << 30
 """Both while large ones come and go."""
 SELDOM = 50_000
-"""Resolution. Objects that have come and stayed before the newest are looked through for garbage; Python's own is 700.
-Imports bring a million that stay: with 700 they are looked through so often that a start costs 3.6 s of CPU in place
-of 1.9 (``torchid.run``); what a run holds in memory is the same."""
+"""Resolution. Objects that have come and stayed before the newest are looked through for garbage; Python's own is 700
+(2000 from 3.13 on). Imports bring a million that stay: with 700 they are looked through so often that a start costs
+3.6 s of CPU in place of 1.9 (``torchid.run``); what a run holds in memory is the same."""
 _asked: list[bool] = []
 """Whether the program that this is part of has asked for it."""
 
 
 def seldom_collect() -> None:
-    """Look for garbage seldom, never among what is there by now, and not at the end, when all of it goes anyway.
+    """Look for garbage seldom, and not at the end of the process, when all of it goes anyway.
 
-    A program decides this for itself, before its imports; importing the library does not. One that must answer at once
-    decides it again behind them.
+    A program decides this for itself, before its imports; importing the library does not. Asked again, nothing changes.
     """
-    gc.set_threshold(SELDOM, *gc.get_threshold()[1:])
-    gc.freeze()
-    atexit.register(gc.freeze)
+    if gc.get_threshold()[0] != SELDOM:
+        gc.set_threshold(SELDOM, *gc.get_threshold()[1:])
+        atexit.register(gc.freeze)
 
 
 def keep_memory() -> bool:

@@ -127,7 +127,8 @@ def make_room(file: BinaryIO, shape: Sequence[int]) -> torch.Tensor:
 def release() -> None:
     """Give back the memory of all mapped tensors, if they are many; whoever looks at them again has them from the file.
 
-    What glibc keeps of freed memory goes too: after an hour's recording that were 450 MiB in pieces.
+    What glibc keeps of freed memory goes with them: after an hour's recording that were 450 MiB in pieces. Where mapped
+    tensors are few the session is short, and both stay.
     """
     if unload() and _trim is not None:
         _trim(0)

@@ -88,7 +88,7 @@ class PairDistances:
     def misfit(self, shape: MarkerShape) -> ExchangeMisfit:
         """Return how the two fit a shape, as labelled and exchanged.
 
-        Where one of them is not seen the other tells. Fewer than two distances on either side tell nothing.
+        Where one of them is not seen the other tells. Fewer than two distances tell nothing.
 
         Args:
             shape: of another trial.

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.geometry.problem import MarkerProblem
-from torchid.kinematics.recursion import Poses, length
+from torchid.kinematics.recursion import Poses, lengths
 from torchid.runs import dilate
 
 TURN = 0.35
@@ -132,7 +132,7 @@ def breaks(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Te
 def _breaks_off(R: Tensor, then: Tensor, residual: Tensor, later: Tensor, seen: Tensor) -> Bool[Tensor, " steps"]:
     """Return where rotations (bodies, 3, 3, steps) or residuals (markers, 3, steps) change too much."""
     turned = ((R * then).sum((1, 2)) < 1.0 + 2.0 * np.cos(TURN)).any(0)
-    return turned | ((length(later - residual) > LEAP) & seen).any(0)
+    return turned | ((lengths(later - residual) > LEAP) & seen).any(0)
 
 
 def _around(broken: Bool[Tensor, " steps"], frames: int) -> Bool[Tensor, " frames"]:

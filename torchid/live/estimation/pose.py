@@ -12,7 +12,7 @@ from torchid.geometry.posture.initial_posture import hold
 from torchid.geometry.problem import MarkerProblem
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.trial_problem import posture_prior, settled, trial_problem
-from torchid.kinematics.recursion import length, points, poses
+from torchid.kinematics.recursion import lengths, points, poses
 from torchid.recording import Markers
 
 TOLERANCE = 1e-2
@@ -161,7 +161,7 @@ class PostureFollower:
         """Distances of the markers, and which frames are known: no body has two markers that contradict its place."""
         seen, shape = problem.weight > 0, self._prepared.shape
         placed = points(poses(problem.plan, q, shape.joints), problem.body, shape.place)
-        error = length(placed - problem.target)
+        error = lengths(placed - problem.target)
         astray = seen & (error > too_far(self._fit)[:, None])
         spoilt = error.new_zeros(len(problem.plan.order), error.shape[1]).index_add_(0, problem.body, astray.to(error))
         known = (spoilt.max(0).values <= SPARED) & (seen.sum(0) >= FEWEST)
