@@ -10,16 +10,17 @@ from typing import Any
 import torch
 
 from harness.rows import Row, add_line, read_lines
-from torchid.storage.allocator import keep_memory
+from torchid.storage.allocator import keep_memory, seldom_collect
 
 TRIES = 3
 """Choice. Times that a battery goes on after a worker was killed, for want of memory say."""
 
 
 def alone() -> None:
-    """One thread and memory that is kept, for this process."""
+    """One thread, memory that is kept and garbage that is looked for seldom, for this process."""
     torch.set_num_threads(1)
     keep_memory()
+    seldom_collect()
 
 
 @contextmanager
