@@ -20,7 +20,7 @@ from harness.runs import ran
 
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
-from torchid.storage.allocator import keep_memory
+from torchid.storage.allocator import keep_memory, seldom_collect
 
 SUBJECT = SimulateOptions(
     fit=("squats", "arms", "trunk", "sway_steps", "hip_rom"), heldout=("walk",), duration_s=25.0, skin_motion_mm=3.0,
@@ -79,6 +79,7 @@ def _measured(config: Path, out: Path, diagnosis: str) -> dict[str, float]:
 
 def _once(config: Path, out: str, diagnosis: str) -> dict[str, float]:
     keep_memory()
+    seldom_collect()
     scanned, log = Scanned(), logging.getLogger("torchid.diagnosis.search")
     log.setLevel(logging.INFO)
     log.addHandler(scanned)
